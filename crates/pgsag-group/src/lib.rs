@@ -1,0 +1,1 @@
+//! Which pixels and points are which building: the paper's section 4.1.

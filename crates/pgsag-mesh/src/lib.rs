@@ -1,0 +1,1 @@
+//! Depth maps to surface to score: the paper's sections 4.4 and 5.

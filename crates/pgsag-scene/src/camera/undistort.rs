@@ -1,0 +1,1 @@
+//! Removing lens distortion: the target pinhole and the resampling of an image into it.

@@ -1,0 +1,1 @@
+//! Codecs: bytes <-> words. Nothing outside this folder touches bytes of a foreign format.

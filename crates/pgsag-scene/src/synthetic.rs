@@ -1,0 +1,1 @@
+//! A small town with exact truth, photographed by a ray caster.

@@ -1,0 +1,344 @@
+//! The narrow waist: all that a device must do. It knows no schedule, no file, no group.
+//!
+//! Contract: inputs are finite and sized as documented; `conformance` defines "correct". The device keeps its buffers,
+//! the host keeps the decisions: densification, schedules, neighbours and stopping live in `train`.
+
+use pgsag_scene::{Image, Map, Mask};
+
+use crate::cloud::SplatCloud;
+
+/// What a device can fail at.
+#[derive(Debug, thiserror::Error)]
+pub enum BackendError {
+    /// The work does not fit; the message says what and by how much.
+    #[error("the device cannot hold this: {0}")]
+    TooLarge(String),
+    /// A value stopped being finite; training must not go on.
+    #[error("{0} is not finite")]
+    NotFinite(&'static str),
+    /// The device itself failed.
+    #[error("device: {0}")]
+    Device(String),
+}
+
+/// Shorthand of this crate's device results.
+pub type Result<T> = std::result::Result<T, BackendError>;
+
+/// A pinhole and its pose in the group's frame (world axes about the cloud's origin).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ViewCamera {
+    /// Intrinsics of the raster that is rendered (a crop has a shifted principal point).
+    pub pinhole: pgsag_scene::Pinhole,
+    /// Rows of camera_from_group's rotation W.
+    pub rotation: [[f64; 3]; 3],
+    /// camera_from_group's translation t: p_camera = W · p_group + t.
+    pub translation: [f64; 3],
+    /// Gaussians nearer than this are not drawn, scene units.
+    pub near: f64,
+}
+
+/// Per-channel affine exposure: what is compared with the photograph is `gain · rendered + bias`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exposure {
+    /// R G B factor.
+    pub gain: [f32; 3],
+    /// R G B offset, in units of full scale 1.
+    pub bias: [f32; 3],
+}
+
+impl Exposure {
+    /// No correction.
+    pub const NEUTRAL: Self = Self { gain: [1.0; 3], bias: [0.0; 3] };
+}
+
+/// What a view brings to training.
+#[derive(Clone, Debug)]
+pub struct TrainingView {
+    /// Of the (cropped, resized) image.
+    pub camera: ViewCamera,
+    /// The photograph, same size as the camera.
+    pub image: Image,
+    /// Classes for this group, same size; `None`: every pixel is inside.
+    pub mask: Option<Mask>,
+    /// `[H, W]` true on edges inside the object (roof ridges, label borders), where the normal weight is lowered too;
+    /// `None`: no inner edges are known.
+    pub inner_edges: Option<Map<bool>>,
+}
+
+/// What to compute beside colour. Nothing is paid for what is not asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RenderOptions {
+    /// Degree of harmonics in use, at most the cloud's.
+    pub sh_degree: u8,
+    /// Render normal, opacity-sum and distance (five more channels).
+    pub planes: bool,
+    /// Count the blended entries per pixel (load balance, Eq. 9).
+    pub load: bool,
+    /// Keep what `backward` needs.
+    pub gradient: bool,
+    /// Accumulate density statistics in the backward pass of this render.
+    pub statistics: bool,
+    /// Mark Gaussians that are blended somewhere while the transmittance is above 0.5 (multi-view trim).
+    pub observe: bool,
+}
+
+/// A render, read back. Maps have the camera's size; masked-out pixels are 0 in every map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlaneMaps {
+    /// Linear combination of colours, before exposure; black background.
+    pub color: Map<[f32; 3]>,
+    /// Blended normal N, camera frame, not normalised, facing the camera (z < 0). Empty map (0 x 0) without `planes`.
+    pub normal: Map<[f32; 3]>,
+    /// Blended plane distance D, scene units. Empty without `planes`.
+    pub distance: Map<f32>,
+    /// Sum of blending weights, 1 − T.
+    pub opacity: Map<f32>,
+    /// Unbiased depth −D / (N · r), z-depth in scene units; 0 where undefined. Eq. 4. Empty without `planes`.
+    pub depth: Map<f32>,
+    /// Blended entries per pixel. Empty without `load`.
+    pub load: Map<f32>,
+}
+
+/// Which reading of the paper where text and published code differ (docs/paper.md).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Reading {
+    /// The printed equations.
+    Paper,
+    /// The published code's form, mended as docs/paper.md says.
+    Code,
+}
+
+/// Weights and forms of every term of Eq. 10-11; a weight of 0 switches the term off and costs nothing.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct LossWeights {
+    /// Share of L1 in the photometric term. 3DGS: 0.8.
+    pub l1: f32,
+    /// Share of 1 − SSIM. 3DGS: 0.2.
+    pub dssim: f32,
+    /// λ3, flattening: mean over visible Gaussians of the smallest scale, in units of `scene_scale`. Paper: 100.
+    pub flatness: f32,
+    /// λ4, boundary-aware normal (Eq. 8). Code 0.015, paper 0.01.
+    pub normal: f32,
+    /// Weight of boundary and inner-edge pixels in Eq. 8. Paper: 0.1.
+    pub normal_boundary: f32,
+    /// Multiply Eq. 8 by PGSR's image-gradient weight (1 − g)².
+    pub normal_image_gradient: bool,
+    /// λ1, multi-view geometric consistency. Code 0.03, paper 0.05.
+    pub geometric: f32,
+    /// Reprojection error beyond which a pixel does not count, pixels. PGSR: 1; annealed from 4.
+    pub geometric_gate_px: f32,
+    /// λ2, multi-view NCC. Code 0.15, paper 0.2.
+    pub ncc: f32,
+    /// At most so many patches a step. PGSR: 102 400.
+    pub ncc_patches: u32,
+    /// λ of Eq. 9/10, gradient-constrained load balance, entering as λ/(1−λ)·s·σ. Paper: 0.41. Default 0 = off.
+    pub load: f32,
+    /// Penalty on the opacity of `Free` pixels within the raster (floaters past the silhouette).
+    pub free_opacity: f32,
+    /// Squared norm in Eq. 8 and division by the image gradient in Eq. 9 (paper), or L1 and multiplication (code).
+    pub reading: Reading,
+    /// Average photometric and normal terms over the active pixels; false: over the full frame, as the published code.
+    pub mean_over_mask: bool,
+}
+
+/// What one step compares.
+pub struct Sample<'a, B: Backend + ?Sized> {
+    /// The reference view.
+    pub view: &'a B::View,
+    /// Its render; `losses` writes the gradient of the loss into it.
+    pub render: &'a mut B::Render,
+    /// A neighbour and its render, for the multi-view terms.
+    pub neighbor: Option<(&'a B::View, &'a mut B::Render)>,
+    /// Exposure of the reference view.
+    pub exposure: Exposure,
+    /// What counts how much.
+    pub weights: &'a LossWeights,
+    /// One scene length (median depth), which makes lengths in losses unit-free; scene units.
+    pub scene_scale: f32,
+    /// Decides which patches are drawn.
+    pub seed: u64,
+}
+
+/// Values of the terms, unweighted, and the gradient of the exposure.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LossValues {
+    /// Weighted sum of all.
+    pub total: f32,
+    /// Mean absolute difference.
+    pub l1: f32,
+    /// 1 − mean SSIM.
+    pub dssim: f32,
+    /// Mean smallest scale over visible Gaussians, in `scene_scale`s.
+    pub flatness: f32,
+    /// Eq. 8.
+    pub normal: f32,
+    /// Mean weighted reprojection error, pixels.
+    pub geometric: f32,
+    /// Share of active pixels that pass the geometric gate.
+    pub geometric_valid: f32,
+    /// Mean weighted 1 − NCC².
+    pub ncc: f32,
+    /// Patches kept.
+    pub ncc_patches: u32,
+    /// Eq. 9, before scaling.
+    pub load: f32,
+    /// Mean opacity over free pixels.
+    pub free_opacity: f32,
+    /// d total / d gain.
+    pub d_gain: [f32; 3],
+    /// d total / d bias.
+    pub d_bias: [f32; 3],
+}
+
+/// Adam step sizes of one step, per kind of parameter; means per Gaussian in scene units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// Scene units.
+    pub means: f32,
+    /// Log units.
+    pub scales: f32,
+    /// Quaternion units.
+    pub rotations: f32,
+    /// Logit units.
+    pub opacity: f32,
+    /// Degree-0 coefficients.
+    pub color: f32,
+    /// Higher coefficients.
+    pub harmonics: f32,
+}
+
+/// Per-Gaussian sums since the last `statistics`, from renders with the flags set. `[N]` each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DensityStatistics {
+    /// Sum over visible steps of | d(per-pixel-SUM of the loss) / d(u, v) | / pixels covered: independent of resolution and crop.
+    pub gradient: Vec<f32>,
+    /// The same with absolute values per pixel (AbsGS).
+    pub absolute_gradient: Vec<f32>,
+    /// Steps in which the Gaussian touched an active tile.
+    pub visible_count: Vec<u32>,
+    /// Largest projected radius (3 sigma), pixels.
+    pub radius_px: Vec<f32>,
+    /// Renders with `observe` in which it was blended while T > 0.5.
+    pub observed_count: Vec<u32>,
+}
+
+/// A Gaussian born from another: clone or child of a split. Everything not said here is copied from the parent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Birth {
+    /// Index before reshaping.
+    pub parent: u32,
+    /// Added to the parent's mean, scene units.
+    pub offset: [f32; 3],
+    /// Added to the three log scales.
+    pub log_scale_shift: f32,
+    /// The new opacity logit; `None`: the parent's.
+    pub opacity_logit: Option<f32>,
+}
+
+/// Clone, split, prune by index. The new cloud is `keep` in order, then `births`; moments of births are 0.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DensityPlan {
+    /// Indices that stay, ascending.
+    pub keep: Vec<u32>,
+    /// Appended, in order.
+    pub births: Vec<Birth>,
+    /// Where given, opacities are lowered to at most this value and their moments zeroed (opacity reset).
+    pub opacity_ceiling: Option<f32>,
+}
+
+/// Everything needed to go on as if nothing had happened: parameters, Adam moments, statistics.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OptimizerState {
+    /// Parameters.
+    pub cloud: SplatCloud,
+    /// First moments, laid out as the parameters: a cloud of moments.
+    pub first: SplatCloud,
+    /// Second moments.
+    pub second: SplatCloud,
+    /// Sums since the last reset.
+    pub statistics: DensityStatistics,
+}
+
+/// All that a device must do.
+pub trait Backend {
+    /// Parameters, gradients, Adam moments, statistics. Device-resident.
+    type Cloud;
+    /// Camera, colour, mask, weights. Device-resident.
+    type View;
+    /// Maps, their gradients, and what `backward` needs.
+    type Render;
+
+    /// Moves parameters to the device with zero moments.
+    ///
+    /// # Errors
+    /// Where the device cannot hold them.
+    fn upload(&self, state: &OptimizerState) -> Result<Self::Cloud>;
+
+    /// Reads everything back.
+    ///
+    /// # Errors
+    /// Where the device fails.
+    fn download(&self, cloud: &Self::Cloud) -> Result<OptimizerState>;
+
+    /// Moves a view to the device and derives its weights (image gradient, boundary band, active tiles).
+    ///
+    /// # Errors
+    /// Where the device cannot hold it.
+    fn prepare(&self, view: &TrainingView) -> Result<Self::View>;
+
+    /// Draws the cloud. With a view, only tiles that its mask touches are binned, sorted or rendered.
+    ///
+    /// # Errors
+    /// Where the device fails.
+    fn render(
+        &self,
+        cloud: &Self::Cloud,
+        camera: &ViewCamera,
+        mask: Option<&Self::View>,
+        options: &RenderOptions,
+    ) -> Result<Self::Render>;
+
+    /// Reads a render back, for depth, tests and the report.
+    ///
+    /// # Errors
+    /// Where the device fails.
+    fn read(&self, render: &Self::Render) -> Result<PlaneMaps>;
+
+    /// Values of all terms with weight; writes d total / d render into the sample's renders.
+    ///
+    /// # Errors
+    /// Where a value stops being finite.
+    fn losses(&self, cloud: &Self::Cloud, sample: &mut Sample<'_, Self>) -> Result<LossValues>;
+
+    /// Gradients of the sample's renders back to the cloud, the flattening term included. Overwrites the cloud's
+    /// gradients; adds to its statistics.
+    ///
+    /// # Errors
+    /// Where the device fails.
+    fn backward(&self, cloud: &mut Self::Cloud, sample: &Sample<'_, Self>) -> Result<()>;
+
+    /// The gradients of the last `backward`, laid out as the parameters: for proofs and conformance.
+    ///
+    /// # Errors
+    /// Where the device fails.
+    fn gradients(&self, cloud: &Self::Cloud) -> Result<SplatCloud>;
+
+    /// One Adam step with the gradients of the last `backward`; `step` counts from 1.
+    ///
+    /// # Errors
+    /// Where a parameter stops being finite.
+    fn adam(&self, cloud: &mut Self::Cloud, rates: &Rates, step: u32) -> Result<()>;
+
+    /// The statistics since the last call that reset them.
+    ///
+    /// # Errors
+    /// Where the device fails.
+    fn statistics(&self, cloud: &mut Self::Cloud, reset: bool) -> Result<DensityStatistics>;
+
+    /// Clone, split, prune by index. Statistics are reset.
+    ///
+    /// # Errors
+    /// Where the device cannot hold the result.
+    fn reshape(&self, cloud: &mut Self::Cloud, plan: &DensityPlan) -> Result<()>;
+}

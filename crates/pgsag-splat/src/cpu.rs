@@ -1,0 +1,1 @@
+//! The embedded backend: tiles x lanes x threads, deterministic.

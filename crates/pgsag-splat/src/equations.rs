@@ -1,0 +1,1 @@
+//! One equation, its gradient, its proof; generic over the number.

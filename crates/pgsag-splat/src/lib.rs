@@ -1,0 +1,16 @@
+//! Planar Gaussians that learn: the paper's sections 3, 4.2 and 4.3.
+//!
+//! `equations`, `losses`, `cloud` < `backend` < `train` | `cpu` | `reference` < `conformance`.
+//! The narrow waist is `backend.rs`: a device renders, differentiates and steps; the host decides.
+
+pub mod backend;
+pub mod cloud;
+pub mod conformance;
+pub mod cpu;
+pub mod equations;
+pub mod losses;
+pub mod reference;
+pub mod train;
+
+pub use backend::Backend;
+pub use cloud::SplatCloud;

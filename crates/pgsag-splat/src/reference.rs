@@ -1,0 +1,1 @@
+//! The slow true one: f64, pixel by pixel, no tricks.

@@ -1,0 +1,1 @@
+//! When to do what: schedules, density control, neighbours, checkpoints. Names no backend.

@@ -1,0 +1,3 @@
+//! The product: parse, plan, execute.
+
+fn main() {}
