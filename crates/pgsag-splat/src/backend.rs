@@ -65,8 +65,23 @@ pub struct TrainingView {
     pub inner_edges: Option<Map<bool>>,
 }
 
+/// Where blending begins and ends; every backend takes them in its constructor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Contributions below this alpha are skipped. 3DGS: 1/255. Proofs lower it, so that differences meet no cut.
+    pub alpha_cut: f32,
+    /// A pixel stops before the entry that would bring its transmittance below this. 3DGS: 1e-4.
+    pub transmittance_stop: f32,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { alpha_cut: 1.0 / 255.0, transmittance_stop: 1e-4 }
+    }
+}
+
 /// What to compute beside colour. Nothing is paid for what is not asked.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RenderOptions {
     /// Degree of harmonics in use, at most the cloud's.
     pub sh_degree: u8,
@@ -78,8 +93,11 @@ pub struct RenderOptions {
     pub gradient: bool,
     /// Accumulate density statistics in the backward pass of this render.
     pub statistics: bool,
-    /// Mark Gaussians that are blended somewhere while the transmittance is above 0.5 (multi-view trim).
+    /// Count in the cloud's statistics the Gaussians that are blended somewhere while the transmittance (before them)
+    /// is above 0.5 (multi-view trim): at most once per render.
     pub observe: bool,
+    /// Draw the `Free` pixels too (for `LossWeights::free_opacity`). Drawn are else the active pixels alone.
+    pub free_pixels: bool,
 }
 
 /// A render, read back. Maps have the camera's size; masked-out pixels are 0 in every map.
@@ -209,13 +227,17 @@ pub struct Rates {
 }
 
 /// Per-Gaussian sums since the last `statistics`, from renders with the flags set. `[N]` each.
+///
+/// A Gaussian *covers* a pixel where it is blended in it: alpha at least the cut, before the pixel stops.
+/// Gradients are of the loss without its load-balance part (else texture-less places would split), multiplied by the
+/// count of pixels over which the photometric term averages (active pixels, or all with `mean_over_mask` off).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DensityStatistics {
     /// Sum over visible steps of | d(per-pixel-SUM of the loss) / d(u, v) | / pixels covered: independent of resolution and crop.
     pub gradient: Vec<f32>,
     /// The same with absolute values per pixel (AbsGS).
     pub absolute_gradient: Vec<f32>,
-    /// Steps in which the Gaussian touched an active tile.
+    /// Steps in which the Gaussian was visible: covered at least one drawn pixel. `flatness` averages over the same.
     pub visible_count: Vec<u32>,
     /// Largest projected radius (3 sigma), pixels.
     pub radius_px: Vec<f32>,
@@ -243,7 +265,8 @@ pub struct DensityPlan {
     pub keep: Vec<u32>,
     /// Appended, in order.
     pub births: Vec<Birth>,
-    /// Where given, opacities are lowered to at most this value and their moments zeroed (opacity reset).
+    /// Where given, opacities (births too) are lowered to at most this value and the moments of all opacities are
+    /// zeroed (opacity reset).
     pub opacity_ceiling: Option<f32>,
 }
 
