@@ -10,6 +10,7 @@ pub mod cpu;
 pub mod equations;
 pub mod losses;
 pub mod reference;
+pub mod stereo;
 pub mod train;
 
 pub use backend::Backend;

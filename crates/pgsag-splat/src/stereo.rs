@@ -1,0 +1,334 @@
+//! Depth before training: PatchMatch stereo on covisible neighbours.
+//!
+//! Gaussians that start on the surface need no luck: the 1 px gate of the multi-view terms gives no gradient where depth
+//! is wrong, and plain roofs pull on nothing. Each pixel carries a plane (depth and normal); planes spread over a
+//! checkerboard and are refined at random (Bleyer et al. 2011; Galliani et al. 2015), judged by bilaterally weighted NCC
+//! over the best neighbours. Deterministic for any number of threads: every half-step reads only the other colour.
+
+mod cost;
+mod points;
+
+pub use points::{PointOptions, SurfacePoint, lift, thin_points};
+
+use pgsag_scene::numbers::SplitMix64;
+use pgsag_scene::{Image, Map, Pinhole, RigidTransform};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use cost::{Matcher, Patch};
+
+/// A grey view for stereo.
+#[derive(Clone, Debug)]
+pub struct StereoView {
+    /// Of `gray`.
+    pub camera: Pinhole,
+    /// COLMAP axes.
+    pub camera_from_world: RigidTransform,
+    /// Luma in `[0, 1]`.
+    pub gray: Map<f32>,
+}
+
+impl StereoView {
+    /// Luma of a photograph (Rec. 601, as PGSR's NCC).
+    #[must_use]
+    pub fn new(camera: Pinhole, camera_from_world: RigidTransform, image: &Image) -> Self {
+        let luma = |p: &[u8; 3]| (0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2])) / 255.0;
+        let gray = Map { width: image.width, height: image.height, values: image.pixels.iter().map(luma).collect() };
+        Self { camera, camera_from_world, gray }
+    }
+}
+
+/// How stereo works.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StereoOptions {
+    /// Rounds over both colours of the checkerboard.
+    pub iterations: u32,
+    /// Half-width of the patch, in samples.
+    pub patch_radius: u32,
+    /// Distance between samples, pixels.
+    pub patch_step_px: u32,
+    /// The cost of a plane is the mean over so many best neighbours: occluded views do not vote.
+    pub best_count: u32,
+    /// Luma difference at which a sample of the patch counts 1/e.
+    pub color_sigma: f32,
+    /// Pixels whose final cost 1 − NCC is higher are left without depth.
+    pub max_cost: f32,
+}
+
+impl Default for StereoOptions {
+    fn default() -> Self {
+        Self { iterations: 5, patch_radius: 3, patch_step_px: 1, best_count: 2, color_sigma: 0.12, max_cost: 0.35 }
+    }
+}
+
+/// What stereo found. Depth 0 where nothing was found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StereoDepth {
+    /// z-depth, scene units.
+    pub depth: Map<f32>,
+    /// Unit, camera frame, facing the camera.
+    pub normal: Map<[f32; 3]>,
+    /// 1 − NCC of the kept plane.
+    pub cost: Map<f32>,
+}
+
+/// A plane at a pixel, and what it costs.
+#[derive(Clone, Copy, Debug)]
+struct Hypothesis {
+    depth: f32,
+    normal: [f32; 3],
+    cost: f32,
+}
+
+/// Estimates the depth of `reference` from its neighbours. `seeds` are `(x, y, depth)` of sparse points in the image;
+/// they start the search and bound it to `depth_range`. Pixels where `active` is false are left out.
+#[must_use]
+pub fn estimate(
+    reference: &StereoView,
+    neighbors: &[&StereoView],
+    seeds: &[[f32; 3]],
+    depth_range: [f32; 2],
+    active: Option<&Map<bool>>,
+    options: &StereoOptions,
+    seed: u64,
+) -> StereoDepth {
+    let search = Search {
+        reference,
+        matchers: neighbors.iter().map(|neighbor| Matcher::new(reference, neighbor)).collect(),
+        depth_range,
+        active,
+        options,
+        seed,
+    };
+    let mut state = search.start(seeds);
+    for iteration in 0..options.iterations {
+        for color in 0..2 {
+            state = search.half_step(&state, iteration, color);
+        }
+    }
+    search.finish(&state)
+}
+
+struct Search<'a> {
+    reference: &'a StereoView,
+    matchers: Vec<Matcher<'a>>,
+    depth_range: [f32; 2],
+    active: Option<&'a Map<bool>>,
+    options: &'a StereoOptions,
+    seed: u64,
+}
+
+/// How far planes jump along each direction: odd steps lead to the other colour.
+const JUMPS: [i32; 6] = [1, 3, 5, 9, 15, 25];
+const DIRECTIONS: [[i32; 2]; 4] = [[1, 0], [-1, 0], [0, 1], [0, -1]];
+
+impl Search<'_> {
+    fn width(&self) -> usize {
+        self.reference.gray.width as usize
+    }
+
+    fn is_active(&self, index: usize) -> bool {
+        self.active.is_none_or(|active| active.values[index])
+    }
+
+    /// Ray through a pixel's centre, z = 1.
+    fn ray(&self, index: usize) -> [f32; 3] {
+        let (x, y) = ((index % self.width()) as f64 + 0.5, (index / self.width()) as f64 + 0.5);
+        self.reference.camera.ray(x, y).as_vec3().to_array()
+    }
+
+    fn stream(&self, index: usize, round: u64) -> SplitMix64 {
+        SplitMix64::new(SplitMix64::new(self.seed ^ (round << 40) ^ index as u64).next_u64())
+    }
+
+    /// Every pixel starts from the depth of the nearest seed, a little off, on a plane that faces the camera roughly.
+    fn start(&self, seeds: &[[f32; 3]]) -> Vec<Hypothesis> {
+        let nearest = nearest_seed(self.reference.gray.width, self.reference.gray.height, seeds);
+        (0..self.reference.gray.values.len())
+            .into_par_iter()
+            .map(|index| {
+                let mut stream = self.stream(index, u64::MAX >> 40);
+                let depth = match nearest.as_ref() {
+                    Some(nearest) => seeds[nearest[index] as usize][2] * (1.0 + 0.05 * (stream.uniform() as f32 - 0.5)),
+                    None => self.random_depth(&mut stream),
+                };
+                let start = Hypothesis {
+                    depth: depth.clamp(self.depth_range[0], self.depth_range[1]),
+                    normal: facing(tilted([0.0, 0.0, -1.0], 0.7, &mut stream), self.ray(index)),
+                    cost: f32::INFINITY,
+                };
+                if !self.is_active(index) {
+                    return start;
+                }
+                Hypothesis { cost: self.cost(&self.patch(index), index, &start), ..start }
+            })
+            .collect()
+    }
+
+    /// Uniform in inverse depth.
+    fn random_depth(&self, stream: &mut SplitMix64) -> f32 {
+        let [near, far] = self.depth_range;
+        1.0 / stream.range(1.0 / f64::from(far), 1.0 / f64::from(near)) as f32
+    }
+
+    fn patch(&self, index: usize) -> Patch {
+        Patch::new(&self.reference.gray, index, self.options)
+    }
+
+    /// Mean of the best neighbours' 1 − NCC.
+    fn cost(&self, patch: &Patch, index: usize, plane: &Hypothesis) -> f32 {
+        let ray = self.ray(index);
+        let center = [(index % self.width()) as f32 + 0.5, (index / self.width()) as f32 + 0.5];
+        let mut costs = [2.0f32; 16];
+        let count = self.matchers.len().min(costs.len());
+        for (cost, matcher) in costs.iter_mut().zip(&self.matchers) {
+            *cost = matcher.cost(patch, center, ray, plane.depth, plane.normal);
+        }
+        costs[..count].sort_unstable_by(f32::total_cmp);
+        let best = (self.options.best_count as usize).clamp(1, count.max(1));
+        costs[..best].iter().sum::<f32>() / best as f32
+    }
+
+    fn half_step(&self, state: &[Hypothesis], iteration: u32, color: usize) -> Vec<Hypothesis> {
+        let width = self.width();
+        let mut next = state.to_vec();
+        next.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+            for (x, kept) in row.iter_mut().enumerate() {
+                let index = y * width + x;
+                if (x + y) % 2 == color && self.is_active(index) {
+                    *kept = self.improved(state, index, iteration);
+                }
+            }
+        });
+        next
+    }
+
+    /// The best of: the pixel's own plane, planes of the other colour, random refinements.
+    fn improved(&self, state: &[Hypothesis], index: usize, iteration: u32) -> Hypothesis {
+        let patch = self.patch(index);
+        let ray = self.ray(index);
+        let mut best = state[index];
+        let mut consider = |candidate: Hypothesis| {
+            if candidate.depth >= self.depth_range[0] && candidate.depth <= self.depth_range[1] {
+                let cost = self.cost(&patch, index, &candidate);
+                if cost < best.cost {
+                    best = Hypothesis { cost, ..candidate };
+                }
+            }
+            best
+        };
+        for direction in DIRECTIONS {
+            let (near, far) = self.donors(state, index, direction);
+            for donor in [near, far].into_iter().flatten() {
+                if let Some(depth) = carried_depth(&state[donor], self.ray(donor), ray) {
+                    consider(Hypothesis { depth, ..state[donor] });
+                }
+            }
+        }
+        let mut stream = self.stream(index, u64::from(iteration));
+        let shrink = 0.5f32.powi(iteration as i32);
+        let best = consider(Hypothesis { depth: self.random_depth(&mut stream), ..state[index] });
+        let depth = best.depth * (1.0 + 0.04 * shrink * (stream.uniform() as f32 * 2.0 - 1.0));
+        let best = consider(Hypothesis { depth, ..best });
+        let normal = facing(tilted(best.normal, 0.8 * shrink, &mut stream), ray);
+        let best = consider(Hypothesis { normal, ..best });
+        let depth = best.depth * (1.0 + 0.01 * shrink * (stream.uniform() as f32 * 2.0 - 1.0));
+        let normal = facing(tilted(best.normal, 0.3 * shrink, &mut stream), ray);
+        consider(Hypothesis { depth, normal, ..best })
+    }
+
+    /// The neighbour next door, and the cheapest of the far ones in a direction.
+    fn donors(&self, state: &[Hypothesis], index: usize, direction: [i32; 2]) -> (Option<usize>, Option<usize>) {
+        let (width, height) = (self.width() as i32, self.reference.gray.height as i32);
+        let (x, y) = ((index % self.width()) as i32, (index / self.width()) as i32);
+        let at = |jump: i32| {
+            let (u, v) = (x + jump * direction[0], y + jump * direction[1]);
+            (u >= 0 && v >= 0 && u < width && v < height).then_some((v * width + u) as usize)
+        };
+        let far = JUMPS[1..].iter().filter_map(|jump| at(*jump));
+        (at(JUMPS[0]), far.min_by(|a, b| state[*a].cost.total_cmp(&state[*b].cost)))
+    }
+
+    fn finish(&self, state: &[Hypothesis]) -> StereoDepth {
+        let (width, height) = (self.reference.gray.width, self.reference.gray.height);
+        let kept = |h: &Hypothesis| h.cost <= self.options.max_cost;
+        StereoDepth {
+            depth: Map { width, height, values: state.iter().map(|h| if kept(h) { h.depth } else { 0.0 }).collect() },
+            normal: Map { width, height, values: state.iter().map(|h| h.normal).collect() },
+            cost: Map { width, height, values: state.iter().map(|h| h.cost).collect() },
+        }
+    }
+}
+
+/// Depth at which the ray meets the plane of another pixel; `None` where it does not in front.
+fn carried_depth(plane: &Hypothesis, plane_ray: [f32; 3], ray: [f32; 3]) -> Option<f32> {
+    let depth = plane.depth * dot(plane.normal, plane_ray) / dot(plane.normal, ray);
+    (depth.is_finite() && depth > 0.0).then_some(depth)
+}
+
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn unit(a: [f32; 3]) -> [f32; 3] {
+    let length = dot(a, a).sqrt().max(1e-20);
+    a.map(|v| v / length)
+}
+
+/// A unit vector off by up to `amount` in each component.
+fn tilted(normal: [f32; 3], amount: f32, stream: &mut SplitMix64) -> [f32; 3] {
+    unit(normal.map(|v| v + amount * (stream.uniform() as f32 * 2.0 - 1.0)))
+}
+
+/// The normal that meets the ray at 84 degrees at most: steeper planes are pulled towards the camera.
+fn facing(normal: [f32; 3], ray: [f32; 3]) -> [f32; 3] {
+    const MIN_COSINE: f32 = 0.1;
+    let view = unit(ray);
+    let cosine = -dot(normal, view);
+    if cosine >= MIN_COSINE {
+        return normal;
+    }
+    let lift = MIN_COSINE - cosine;
+    unit(std::array::from_fn(|i| normal[i] - lift * view[i]))
+}
+
+/// Index of the nearest seed for every pixel, by jump flooding over halving steps; `None` without seeds.
+fn nearest_seed(width: u32, height: u32, seeds: &[[f32; 3]]) -> Option<Vec<u32>> {
+    const NONE: u32 = u32::MAX;
+    let mut owner = vec![NONE; width as usize * height as usize];
+    for (number, [x, y, _]) in (0u32..).zip(seeds) {
+        if *x >= 0.0 && *y >= 0.0 && *x < width as f32 && *y < height as f32 {
+            owner[*y as usize * width as usize + *x as usize] = number;
+        }
+    }
+    if owner.iter().all(|number| *number == NONE) {
+        return None;
+    }
+    let mut step = width.max(height).next_power_of_two() as i32 / 2;
+    while step > 0 {
+        let previous = owner.clone();
+        owner.par_iter_mut().enumerate().for_each(|(index, kept)| {
+            let (x, y) = ((index % width as usize) as i32, (index / width as usize) as i32);
+            let reach = |number: u32| {
+                let [sx, sy, _] = seeds[number as usize];
+                (sx - x as f32 - 0.5).powi(2) + (sy - y as f32 - 0.5).powi(2)
+            };
+            for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx * step, dy * step))) {
+                let (u, v) = (x + dx, y + dy);
+                if u < 0 || v < 0 || u >= width as i32 || v >= height as i32 {
+                    continue;
+                }
+                let other = previous[v as usize * width as usize + u as usize];
+                if other != NONE && (*kept == NONE || reach(other) < reach(*kept)) {
+                    *kept = other;
+                }
+            }
+        });
+        step /= 2;
+    }
+    Some(owner)
+}
+
+#[cfg(test)]
+mod tests;
