@@ -1,0 +1,145 @@
+//! What the equations ask of a number: straight-line arithmetic, comparison into a mask, and `select`.
+//!
+//! [`Number`] can be implemented for SIMD lanes (a mask per lane); [`Scalar`] adds what the losses need of one value:
+//! order, conversion, threads. Transcendentals come from `libm`, so that every machine gives the same bytes.
+
+use std::fmt::Debug;
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
+
+/// Arithmetic without branches. Implementations: `f32`, `f64`.
+pub trait Number:
+    Copy
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + AddAssign
+    + SubAssign
+{
+    /// Outcome of a comparison: one truth value per lane.
+    type Truth: Copy;
+
+    /// The constant, rounded to this precision, in every lane.
+    fn from_f64(value: f64) -> Self;
+    /// Square root, correctly rounded.
+    fn sqrt(self) -> Self;
+    /// e to this power; the same bytes on every machine.
+    fn exp(self) -> Self;
+    /// Whether `self < other`.
+    fn less(self, other: Self) -> Self::Truth;
+    /// `yes` where `truth`, else `no`.
+    fn select(truth: Self::Truth, yes: Self, no: Self) -> Self;
+
+    /// 0.
+    fn zero() -> Self {
+        Self::from_f64(0.0)
+    }
+    /// 1.
+    fn one() -> Self {
+        Self::from_f64(1.0)
+    }
+    /// The smaller one.
+    fn min(self, other: Self) -> Self {
+        Self::select(other.less(self), other, self)
+    }
+    /// The larger one.
+    fn max(self, other: Self) -> Self {
+        Self::select(self.less(other), other, self)
+    }
+    /// Distance from 0.
+    fn abs(self) -> Self {
+        Self::select(self.less(Self::zero()), -self, self)
+    }
+    /// Within `[low, high]`.
+    fn clamp(self, low: Self, high: Self) -> Self {
+        self.max(low).min(high)
+    }
+    /// 1, −1, or 0 at 0.
+    fn sign(self) -> Self {
+        let negative = Self::select(self.less(Self::zero()), -Self::one(), Self::zero());
+        Self::select(Self::zero().less(self), Self::one(), negative)
+    }
+}
+
+/// One value, for code that may branch on it: losses and the reference.
+pub trait Scalar: Number<Truth = bool> + PartialOrd + Default + Debug + Send + Sync + 'static {
+    /// In double precision.
+    fn to_f64(self) -> f64;
+    /// In single precision (rounds).
+    fn to_f32(self) -> f32;
+    /// From single precision, exactly.
+    fn from_f32(value: f32) -> Self;
+    /// From a byte, exactly.
+    fn from_u8(value: u8) -> Self;
+}
+
+impl Number for f32 {
+    type Truth = bool;
+
+    fn from_f64(value: f64) -> Self {
+        value as Self
+    }
+    fn sqrt(self) -> Self {
+        self.sqrt()
+    }
+    fn exp(self) -> Self {
+        libm::expf(self)
+    }
+    fn less(self, other: Self) -> bool {
+        self < other
+    }
+    fn select(truth: bool, yes: Self, no: Self) -> Self {
+        if truth { yes } else { no }
+    }
+}
+
+impl Number for f64 {
+    type Truth = bool;
+
+    fn from_f64(value: f64) -> Self {
+        value
+    }
+    fn sqrt(self) -> Self {
+        self.sqrt()
+    }
+    fn exp(self) -> Self {
+        libm::exp(self)
+    }
+    fn less(self, other: Self) -> bool {
+        self < other
+    }
+    fn select(truth: bool, yes: Self, no: Self) -> Self {
+        if truth { yes } else { no }
+    }
+}
+
+impl Scalar for f32 {
+    fn to_f64(self) -> f64 {
+        f64::from(self)
+    }
+    fn to_f32(self) -> f32 {
+        self
+    }
+    fn from_f32(value: f32) -> Self {
+        value
+    }
+    fn from_u8(value: u8) -> Self {
+        Self::from(value)
+    }
+}
+
+impl Scalar for f64 {
+    fn to_f64(self) -> f64 {
+        self
+    }
+    fn to_f32(self) -> f32 {
+        self as f32
+    }
+    fn from_f32(value: f32) -> Self {
+        Self::from(value)
+    }
+    fn from_u8(value: u8) -> Self {
+        Self::from(value)
+    }
+}
