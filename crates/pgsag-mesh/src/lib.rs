@@ -1,1 +1,15 @@
 //! Depth maps to surface to score: the paper's sections 4.4 and 5.
+//!
+//! `fuse` checks depth maps against one another, `tsdf` averages them into a sparse volume, `marching` takes the
+//! surface out of it.
+//! Everything is in scene units; nothing here knows metres, paths or a run.
+
+pub mod error;
+pub mod fuse;
+pub mod marching;
+pub mod merge;
+pub mod tsdf;
+
+pub use error::MeshError;
+pub use fuse::DepthView;
+pub use tsdf::{CellBox, Lattice, TsdfOptions, Volume};

@@ -1,0 +1,165 @@
+//! Volumes of views of known surfaces.
+
+use glam::{DQuat, DVec3};
+use pgsag_scene::{Image, Map, Pinhole, RigidTransform};
+
+use super::*;
+use crate::marching::extract;
+
+/// A camera at `center` looking down (world z up), 80 degrees wide.
+fn nadir(center: DVec3, size: u32) -> (Pinhole, RigidTransform) {
+    let f = f64::from(size) * 0.6;
+    let c = f64::from(size) * 0.5;
+    let rotation = DQuat::from_rotation_x(std::f64::consts::PI);
+    let camera = Pinhole { width: size, height: size, fx: f, fy: f, cx: c, cy: c };
+    (camera, RigidTransform { rotation, translation: -(rotation * center) })
+}
+
+/// What a camera sees of the height field `height`, by marching along every ray.
+fn view_of(center: DVec3, size: u32, color: Option<&Image>, height: impl Fn(f64, f64) -> f64) -> DepthView<'_> {
+    let (camera, camera_from_world) = nadir(center, size);
+    let back = camera_from_world.inverse();
+    let mut depth = Map::filled(size, size, 0.0f32);
+    for y in 0..size {
+        for x in 0..size {
+            let ray = back.rotation * camera.ray(f64::from(x) + 0.5, f64::from(y) + 0.5);
+            let mut z = 0.0;
+            for _ in 0..100 {
+                let at = center + ray * z;
+                z += (at.z - height(at.x, at.y)) * 0.7;
+            }
+            depth.set(x, y, z as f32);
+        }
+    }
+    let weight = Map::filled(size, size, 1.0);
+    DepthView { camera, camera_from_world, depth, weight, normal: None, color }
+}
+
+fn hills(x: f64, y: f64) -> f64 {
+    0.3 * x + 0.2 * y
+}
+
+fn region() -> CellBox {
+    CellBox { low: [-20; 3], high: [20; 3] }
+}
+
+fn lattice() -> Lattice {
+    Lattice { origin: DVec3::ZERO, voxel: 0.1 }
+}
+
+fn three_views(image: &Image) -> Vec<DepthView<'_>> {
+    [DVec3::new(0.0, 0.0, 5.0), DVec3::new(1.0, 0.0, 5.5), DVec3::new(0.0, -1.0, 6.0)]
+        .map(|at| view_of(at, 120, Some(image), hills))
+        .into()
+}
+
+#[test]
+fn a_slope_comes_back_within_a_thousandth_of_a_voxel() {
+    let image = Image::filled(120, 120, [10, 200, 77]);
+    let mut volume = Volume::new(lattice(), region(), TsdfOptions::default()).unwrap();
+    for view in three_views(&image) {
+        volume.integrate(&view).unwrap();
+    }
+    let mesh = extract(&volume);
+    assert!(mesh.faces.len() > 2000);
+    for v in &mesh.vertices {
+        assert!((v[2] - hills(v[0], v[1])).abs() < 1.1e-4, "{v:?}");
+    }
+    assert!(mesh.colors.iter().all(|c| *c == [10, 200, 77]));
+    // Whole: 4 x 4 units of plan, less what leaves the cube's top and bottom (nothing here).
+    let area: f64 = (0..mesh.faces.len())
+        .map(|f| {
+            let [a, b, c] = mesh.triangle(f).map(DVec3::from);
+            0.5 * (b - a).cross(c - a).z
+        })
+        .sum();
+    assert!((area - 16.0).abs() < 0.01, "{area}");
+}
+
+#[test]
+fn cubes_agree_and_threads_change_nothing() {
+    let image = Image::filled(120, 120, [1, 2, 3]);
+    let views = three_views(&image);
+    let build = |region: CellBox, threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut volume = Volume::new(lattice(), region, TsdfOptions::default()).unwrap();
+            views.iter().for_each(|view| volume.integrate(view).unwrap());
+            extract(&volume)
+        })
+    };
+    let whole = build(region(), 1);
+    assert_eq!(whole, build(region(), 3));
+    let tiles: Vec<_> = region().tiles(16).into_iter().map(|tile| build(tile, 2)).collect();
+    assert!(tiles.len() > 8);
+    let joined = crate::merge::merge(&tiles);
+    assert_eq!(joined.faces.len(), whole.faces.len());
+    assert_eq!(joined.vertices.len(), whole.vertices.len());
+    let sorted = |mesh: &pgsag_scene::Mesh| {
+        let mut bits: Vec<_> = mesh.vertices.iter().map(|v| v.map(f64::to_bits)).collect();
+        bits.sort_unstable();
+        bits
+    };
+    assert_eq!(sorted(&joined), sorted(&whole));
+}
+
+#[test]
+fn memory_is_refused_before_it_is_taken() {
+    let image = Image::filled(120, 120, [0; 3]);
+    let views = three_views(&image);
+    let mut estimate = Estimate::new(lattice(), region(), TsdfOptions::default()).unwrap();
+    views.iter().for_each(|view| estimate.add(view).unwrap());
+    let options = TsdfOptions { max_bytes: estimate.bytes(), ..TsdfOptions::default() };
+    let mut volume = Volume::new(lattice(), region(), options).unwrap();
+    views.iter().for_each(|view| volume.integrate(view).unwrap());
+    assert_eq!(volume.memory_bytes(), estimate.bytes());
+    let tight = TsdfOptions { max_bytes: estimate.bytes() / 2, ..options };
+    let mut volume = Volume::new(lattice(), region(), tight).unwrap();
+    let refused = views.iter().find_map(|view| volume.integrate(view).err()).unwrap();
+    assert!(matches!(refused, MeshError::Memory { .. }));
+    assert!(volume.memory_bytes() <= tight.max_bytes);
+}
+
+#[test]
+fn free_space_removes_what_one_view_invented() {
+    let flat = |_: f64, _: f64| 0.0;
+    let mut ghost = view_of(DVec3::new(0.0, 0.0, 5.0), 120, None, flat);
+    for y in 55..65 {
+        for x in 55..65 {
+            ghost.depth.set(x, y, 4.0);
+        }
+    }
+    let vertices_above = |free_space_weight: f32| {
+        let options = TsdfOptions { free_space_weight, ..TsdfOptions::default() };
+        let mut volume = Volume::new(lattice(), region(), options).unwrap();
+        volume.integrate(&ghost).unwrap();
+        for at in [-0.6, -0.3, 0.3, 0.6, 0.9] {
+            volume.integrate(&view_of(DVec3::new(at, at, 5.0), 120, None, flat)).unwrap();
+        }
+        extract(&volume).vertices.iter().filter(|v| v[2] > 0.5).count()
+    };
+    assert!(vertices_above(0.0) > 20);
+    assert_eq!(vertices_above(0.5), 0);
+}
+
+#[test]
+fn a_parapet_stays_open_behind() {
+    // Two voxels behind the surface and no more: a wall of five voxels between two roofs keeps its other side.
+    let mut volume = Volume::new(lattice(), region(), TsdfOptions::default()).unwrap();
+    volume.integrate(&view_of(DVec3::new(0.0, 0.0, 5.0), 120, None, |_, _| 0.0)).unwrap();
+    for (key, block) in volume.keys.iter().zip(&volume.blocks) {
+        for (node, weight) in block.weight.iter().enumerate() {
+            let z = key[2] * 8 + (node / 64) as i32;
+            assert!(*weight == 0.0 || z >= -2, "node at {z} was touched");
+        }
+    }
+}
+
+#[test]
+fn wrong_sizes_are_refused() {
+    let mut view = view_of(DVec3::new(0.0, 0.0, 5.0), 12, None, hills);
+    view.weight = Map::filled(11, 12, 1.0);
+    let mut volume = Volume::new(lattice(), region(), TsdfOptions::default()).unwrap();
+    assert!(matches!(volume.integrate(&view), Err(MeshError::Size { what: "the weight map", .. })));
+    assert!(Volume::new(Lattice { voxel: 0.0, ..lattice() }, region(), TsdfOptions::default()).is_err());
+}
