@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, bail};
 
 use super::artifact::{self, Checkpoint};
-use super::manifest::{MANIFEST, Manifest, Measured, StageManifest};
+use super::manifest::{MANIFEST, Manifest, StageManifest};
 use super::plan::{Decision, Order};
 use super::progress::{Progress, relay};
 use super::stage::{Cancel, Job, Per, Stage, WHOLE};
@@ -120,7 +120,9 @@ fn end_of_child(code: Option<i32>, words: &str, stage: &str, job: &str) -> Resul
             Err(UserError::new(place, cause, cure).into())
         }
         Some(_) => bail!("{stage} {job}: {}", last.strip_prefix("error: ").unwrap_or(last)),
-        None => bail!("{stage} {job}: was killed by the system; run the same command to go on, with a lower --jobs if memory ran out"),
+        None => bail!(
+            "{stage} {job}: was killed by the system; run the same command to go on, with a lower --jobs if memory ran out"
+        ),
     }
 }
 
@@ -156,7 +158,8 @@ impl Run {
                     self.publish(stage, order, attempt)?;
                 }
             }
-            let pending: Vec<&Order> = orders.iter().filter(|order| matches!(order.decision, Decision::Run(_))).collect();
+            let pending: Vec<&Order> =
+                orders.iter().filter(|order| matches!(order.decision, Decision::Run(_))).collect();
             summary.kept += orders.len() - pending.len();
             summary.ran += pending.len();
             self.run_jobs(stage, pending, limits, launcher, cancel, progress)?;
@@ -198,9 +201,8 @@ impl Run {
         std::thread::scope(|scope| {
             loop {
                 while running < slots && !cancel.is_requested() {
-                    let fits = |order: &&Order| {
-                        running == 0 || held + order.plan.cost.memory_bytes <= limits.memory_bytes
-                    };
+                    let fits =
+                        |order: &&Order| running == 0 || held + order.plan.cost.memory_bytes <= limits.memory_bytes;
                     let Some(next) = pending.iter().position(fits) else { break };
                     let order = pending.remove(next);
                     let memory = order.plan.cost.memory_bytes;
@@ -312,9 +314,9 @@ impl Run {
         if let Some(parent) = target.parent() {
             fs::create_dir_all(parent).with_context(|| format!("{}", parent.display()))?;
         }
-        let theirs = Manifest::read(&target).ok().filter(|found| {
-            found.identity == order.identity && found.first_damage(&target).is_none()
-        });
+        let theirs = Manifest::read(&target)
+            .ok()
+            .filter(|found| found.identity == order.identity && found.first_damage(&target).is_none());
         if let Some(theirs) = theirs {
             let ours = Manifest::read(attempt)?;
             if ours.output != theirs.output {
@@ -362,7 +364,9 @@ impl Run {
                     name.starts_with("checkpoint.") || name == MANIFEST
                 })
             });
-            if !is_useful && owner(&attempt).is_some_and(|(host, pid)| host == machine::host() && !machine::is_alive(pid)) {
+            if !is_useful
+                && owner(&attempt).is_some_and(|(host, pid)| host == machine::host() && !machine::is_alive(pid))
+            {
                 let _ = fs::remove_dir_all(attempt);
             }
         }
@@ -457,7 +461,6 @@ pub(super) fn owner(attempt: &Path) -> Option<(String, u32)> {
 
 /// An attempt of another live process of this machine: it will see for itself that it came second.
 fn is_foreign_and_alive(attempt: &Path) -> bool {
-    owner(attempt).is_some_and(|(host, pid)| {
-        host == machine::host() && pid != std::process::id() && machine::is_alive(pid)
-    })
+    owner(attempt)
+        .is_some_and(|(host, pid)| host == machine::host() && pid != std::process::id() && machine::is_alive(pid))
 }

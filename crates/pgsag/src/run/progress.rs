@@ -174,7 +174,8 @@ impl Bars {
 impl Progress for Bars {
     fn started(&self, stage: &str, job: &str, detail: &str) {
         let bar = self.all.add(ProgressBar::new(0));
-        if let Ok(style) = ProgressStyle::with_template("{prefix:>14} {wide_bar} {pos}/{len} {msg} {elapsed} eta {eta}") {
+        if let Ok(style) = ProgressStyle::with_template("{prefix:>14} {wide_bar} {pos}/{len} {msg} {elapsed} eta {eta}")
+        {
             bar.set_style(style);
         }
         bar.set_prefix(label(stage, job));

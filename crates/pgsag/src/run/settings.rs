@@ -81,7 +81,6 @@ fn walk(value: &Value, prefix: String, flat: &mut BTreeMap<String, Value>) {
                 walk(inner, path, flat);
             }
         }
-        Value::Null => {}
         leaf => {
             flat.insert(prefix, leaf.clone());
         }

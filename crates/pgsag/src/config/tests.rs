@@ -1,0 +1,40 @@
+use serde_json::json;
+
+use super::*;
+use crate::error::one_line;
+
+fn typed(file: &str, set: &[&str], flags: &[(&str, Value)]) -> Typed {
+    Typed {
+        file: Some(("city.toml".into(), file.into())),
+        set: set.iter().map(|&text| text.into()).collect(),
+        flags: flags.iter().map(|(key, value)| ((*key).into(), value.clone())).collect(),
+    }
+}
+
+#[test]
+fn later_layers_win_and_are_named() {
+    let found = typed("seed = 3\nholdout = 8\nsimd = \"avx2\"", &["seed=4", "holdout=5"], &[("seed", json!(5))])
+        .resolve()
+        .expect("good");
+    assert_eq!((found.config.seed, found.config.holdout, found.config.simd.as_str()), (5, 5, "avx2"));
+    assert_eq!(found.sources["seed"], Source::Flag);
+    assert_eq!(found.sources["holdout"], Source::Set);
+    assert_eq!(found.sources["simd"], Source::File("city.toml".into()));
+    assert!(!found.sources.contains_key("masks"));
+}
+
+#[test]
+fn mistakes_are_one_line_with_a_place() {
+    let line = |typed: Typed| one_line(&typed.resolve().expect_err("bad"));
+    assert_eq!(line(typed("sead = 3", &[], &[])), "city.toml: sead: there is no such key; `pgsag config` lists them");
+    assert!(line(typed("seed = 3\nseed = ", &[], &[])).starts_with("city.toml: line 2: "));
+    assert!(line(typed("", &["seed=often"], &[])).starts_with("--set: seed: invalid type"));
+    assert!(line(typed("", &["preset=best"], &[])).contains("use fast, standard or paper"));
+    assert!(line(typed("", &["seed"], &[])).contains("write --set key=value"));
+}
+
+#[test]
+fn settings_survive_the_round_trip() {
+    let config = Config { seed: 9, image_width: 640, ..Config::preset(Preset::Fast) };
+    assert_eq!(Config::from_settings(&config.settings()).expect("ours"), config);
+}
