@@ -9,6 +9,8 @@ pub mod conformance;
 pub mod cpu;
 pub mod equations;
 pub mod losses;
+#[cfg(test)]
+pub(crate) mod proof;
 pub mod reference;
 pub mod stereo;
 pub mod train;

@@ -1,0 +1,71 @@
+//! Views and maps that the proofs of several losses share.
+
+use pgsag_scene::numbers::SplitMix64;
+use pgsag_scene::{Image, Mask, Pinhole, PixelClass};
+
+use super::view::LossView;
+use crate::backend::{LossWeights, Reading, TrainingView, ViewCamera};
+
+/// A camera at the origin of its group that looks along z.
+pub(crate) fn camera(width: u32, height: u32) -> ViewCamera {
+    let focal = 0.9 * f64::from(width);
+    let (cx, cy) = (0.48 * f64::from(width), 0.53 * f64::from(height));
+    ViewCamera {
+        pinhole: Pinhole { width, height, fx: focal, fy: 1.05 * focal, cx, cy },
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        translation: [0.0; 3],
+        near: 0.1,
+    }
+}
+
+/// A noisy photograph whose mask is a disc with a boundary, in front of free pixels and an occluded corner.
+pub(crate) fn training_view(width: u32, height: u32, seed: u64, masked: bool) -> TrainingView {
+    let mut random = SplitMix64::new(seed);
+    let mut image = Image::filled(width, height, [0; 3]);
+    for (index, pixel) in image.pixels.iter_mut().enumerate() {
+        let wave = 90.0 + 60.0 * libm::sin(0.4 * index as f64) * libm::cos(0.05 * index as f64);
+        *pixel = std::array::from_fn(|_| (wave + random.range(-25.0, 25.0)) as u8);
+    }
+    let mut mask = Mask::filled(width, height, PixelClass::Free);
+    for (index, class) in mask.classes.iter_mut().enumerate() {
+        let (x, y) = ((index as u32 % width) as f64 + 0.5, (index as u32 / width) as f64 + 0.5);
+        let radius = libm::hypot(x / f64::from(width) - 0.5, y / f64::from(height) - 0.5);
+        *class = match radius {
+            r if r < 0.36 => PixelClass::Inside,
+            r if r < 0.43 => PixelClass::Boundary,
+            _ if x < f64::from(width) * 0.3 && y < f64::from(height) * 0.3 => PixelClass::Occluded,
+            _ => PixelClass::Free,
+        };
+    }
+    TrainingView { camera: camera(width, height), image, mask: masked.then_some(mask), inner_edges: None }
+}
+
+/// The same, prepared.
+pub(crate) fn loss_view(width: u32, height: u32, seed: u64, masked: bool) -> LossView {
+    LossView::new(&training_view(width, height, seed, masked))
+}
+
+/// No term at all.
+pub(crate) fn no_weights() -> LossWeights {
+    LossWeights {
+        l1: 0.0,
+        dssim: 0.0,
+        flatness: 0.0,
+        normal: 0.0,
+        normal_boundary: 0.1,
+        normal_image_gradient: false,
+        geometric: 0.0,
+        geometric_gate_px: 1.0,
+        ncc: 0.0,
+        ncc_patches: 1000,
+        load: 0.0,
+        free_opacity: 0.0,
+        reading: Reading::Code,
+        mean_over_mask: true,
+    }
+}
+
+/// `[H * W, 3]` flat numbers as colours or normals.
+pub(crate) fn triples(flat: &[f64]) -> Vec<[f64; 3]> {
+    flat.chunks(3).map(|c| [c[0], c[1], c[2]]).collect()
+}
