@@ -128,7 +128,9 @@ pub enum Reading {
 }
 
 /// Weights and forms of every term of Eq. 10-11; a weight of 0 switches the term off and costs nothing.
+/// The default is the published code's reading, mended as docs/paper.md says.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct LossWeights {
     /// Share of L1 in the photometric term. 3DGS: 0.8.
     pub l1: f32,
@@ -158,6 +160,27 @@ pub struct LossWeights {
     pub reading: Reading,
     /// Average photometric and normal terms over the active pixels; false: over the full frame, as the published code.
     pub mean_over_mask: bool,
+}
+
+impl Default for LossWeights {
+    fn default() -> Self {
+        Self {
+            l1: 0.8,
+            dssim: 0.2,
+            flatness: 100.0,
+            normal: 0.015,
+            normal_boundary: 0.1,
+            normal_image_gradient: true,
+            geometric: 0.03,
+            geometric_gate_px: 1.0,
+            ncc: 0.15,
+            ncc_patches: 102_400,
+            load: 0.0,
+            free_opacity: 0.0,
+            reading: Reading::Code,
+            mean_over_mask: true,
+        }
+    }
 }
 
 /// What one step compares.

@@ -1,0 +1,139 @@
+use super::*;
+use crate::backend::ViewCamera;
+use crate::train::footprint::footprints;
+use crate::train::trainer::fake::{camera_above, cloud_on_plane};
+use pgsag_scene::numbers::SplitMix64;
+
+/// Statistics of a plane of Gaussians whose texture pulls each with its own strength per metre of motion, as a camera
+/// of this focal length gathers them: per pixel of motion they shrink with the resolution.
+fn gathered(cloud: &SplatCloud, camera: &ViewCamera) -> DensityStatistics {
+    let mut random = SplitMix64::new(5);
+    let pulls: Vec<f32> = (0..cloud.len()).map(|_| random.range(0.0, 40.0) as f32).collect();
+    let prints = footprints(&cloud.means, std::slice::from_ref(camera));
+    let gradient: Vec<f32> = pulls.iter().zip(&prints).map(|(pull, print)| 3.0 * pull * print.gsd().min(1.0)).collect();
+    DensityStatistics {
+        absolute_gradient: gradient.iter().map(|g| 2.0 * g).collect(),
+        gradient,
+        visible_count: prints.iter().map(|p| 3 * u32::from(p.focal_px > 0.0)).collect(),
+        radius_px: vec![1.0; cloud.len()],
+        observed_count: vec![0; cloud.len()],
+    }
+}
+
+fn plan(cloud: &SplatCloud, camera: &ViewCamera) -> DensityPlan {
+    let statistics = gathered(cloud, camera);
+    let footprints = footprints(&cloud.means, std::slice::from_ref(camera));
+    let input =
+        DensityInput { cloud, statistics: &statistics, footprints: &footprints, cull: true, seed: 1, iteration: 100 };
+    plan_density(&input, &DensityOptions { gradient: 0.1, ..DensityOptions::default() })
+}
+
+#[test]
+fn crops_and_scales_of_one_scene_decide_alike() {
+    let cloud = cloud_on_plane(40, 4.0);
+    let full = camera_above([0.0, 0.0], 5.0, 1000);
+    let births = plan(&cloud, &full).births.len();
+    assert!(births > 100, "{births}");
+    for scaled in [250, 500, 2000, 4000] {
+        let other = plan(&cloud, &camera_above([0.0, 0.0], 5.0, scaled)).births.len();
+        assert!(other.abs_diff(births) * 20 <= births, "{scaled} px: {other}, not {births}");
+    }
+    let cropped = ViewCamera { pinhole: full.pinhole.cropped(250, 250, 500, 500), ..full };
+    let inside: Vec<u32> = (0..cloud.len() as u32)
+        .filter(|i| crate::train::footprint::locate(&cropped, cloud.means[*i as usize]).is_some())
+        .collect();
+    let of_crop = plan(&cloud, &cropped).births;
+    let of_full = plan(&cloud, &full).births.into_iter().filter(|b| inside.contains(&b.parent)).collect::<Vec<_>>();
+    assert!(of_crop.len().abs_diff(of_full.len()) * 20 <= of_full.len());
+}
+
+fn three(gradients: [f32; 3], sizes: [f32; 3]) -> (SplatCloud, DensityStatistics, Vec<Footprint>) {
+    let mut cloud = cloud_on_plane(2, 1.0);
+    for array in [&mut cloud.log_scales] {
+        array.truncate(3);
+    }
+    cloud.means.truncate(3);
+    cloud.rotations.truncate(3);
+    cloud.opacity_logits.truncate(3);
+    cloud.harmonics.truncate(3 * 3 * cloud.basis_count());
+    for (scale, size) in cloud.log_scales.iter_mut().zip(sizes) {
+        *scale = [libm::logf(size); 3];
+    }
+    let statistics = DensityStatistics {
+        gradient: gradients.to_vec(),
+        absolute_gradient: vec![0.0; 3],
+        visible_count: vec![1; 3],
+        radius_px: vec![1.0; 3],
+        observed_count: vec![0; 3],
+    };
+    (cloud, statistics, vec![Footprint { depth: 1000.0, focal_px: 1000.0 }; 3])
+}
+
+fn decide(
+    (cloud, statistics, footprints): &(SplatCloud, DensityStatistics, Vec<Footprint>),
+    options: &DensityOptions,
+) -> DensityPlan {
+    plan_density(&DensityInput { cloud, statistics, footprints, cull: true, seed: 3, iteration: 7 }, options)
+}
+
+#[test]
+fn small_ones_are_cloned_and_large_ones_split() {
+    let options = DensityOptions { gradient: 1.0, ..DensityOptions::default() };
+    let made = decide(&three([2.0, 2.0, 0.5], [0.5, 3.0, 3.0]), &options);
+    assert_eq!(made.keep, vec![0, 2]);
+    assert_eq!(made.births.iter().map(|b| b.parent).collect::<Vec<_>>(), vec![0, 1, 1]);
+    assert_eq!(made.births[0].log_scale_shift, 0.0);
+    assert!((made.births[1].log_scale_shift + libm::logf(1.6)).abs() < 1e-6);
+    assert_ne!(made.births[1].offset, made.births[2].offset);
+}
+
+#[test]
+fn faint_and_huge_ones_die_unless_a_reset_is_fresh() {
+    let (mut cloud, statistics, footprints) = three([0.0; 3], [1.0, 1.0, 200.0]);
+    cloud.opacity_logits = vec![-6.0, 0.0, 0.0];
+    let mut input = DensityInput {
+        cloud: &cloud,
+        statistics: &statistics,
+        footprints: &footprints,
+        cull: true,
+        seed: 0,
+        iteration: 1,
+    };
+    assert_eq!(plan_density(&input, &DensityOptions::default()).keep, vec![1]);
+    input.cull = false;
+    assert_eq!(plan_density(&input, &DensityOptions::default()).keep, vec![0, 1]);
+}
+
+#[test]
+fn a_full_budget_takes_the_steepest() {
+    let options = DensityOptions { gradient: 1.0, max_gaussians: 4, ..DensityOptions::default() };
+    let made = decide(&three([2.0, 9.0, 5.0], [0.5; 3]), &options);
+    assert_eq!(made.keep.len() + made.births.len(), 4);
+    assert_eq!(made.births[0].parent, 1);
+    let none = decide(&three([2.0, 9.0, 5.0], [0.5; 3]), &DensityOptions { max_gaussians: 2, ..options });
+    assert!(none.births.is_empty());
+}
+
+#[test]
+fn offsets_have_the_spread_of_their_parent() {
+    let (mut cloud, ..) = three([0.0; 3], [1.0; 3]);
+    cloud.log_scales[0] = [libm::logf(2.0), libm::logf(0.5), -20.0];
+    // A quarter turn about z carries the long axis to y.
+    cloud.rotations[0] = [0.5f32.sqrt(), 0.0, 0.0, 0.5f32.sqrt()];
+    let mut random = SplitMix64::new(11);
+    let mut square = [0.0f64; 3];
+    for _ in 0..4000 {
+        let offset = sample_offset(&cloud, 0, &mut random);
+        for k in 0..3 {
+            square[k] += f64::from(offset[k]).powi(2) / 4000.0;
+        }
+    }
+    assert!((square[1] - 4.0).abs() < 0.4 && (square[0] - 0.25).abs() < 0.03 && square[2] < 1e-10, "{square:?}");
+}
+
+#[test]
+fn trim_asks_only_of_views_that_could_see() {
+    let options = DensityOptions::default();
+    let trimmed = plan_trim(&[2, 1, 1, 0, 0], &[9, 9, 1, 1, 0], &options);
+    assert_eq!(trimmed.keep, vec![0, 2]);
+}
