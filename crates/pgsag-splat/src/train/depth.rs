@@ -51,8 +51,7 @@ pub fn render_depth<B: Backend>(
     mask: Option<&B::View>,
     sh_degree: u8,
 ) -> Result<PlaneMaps> {
-    let options =
-        RenderOptions { sh_degree, planes: true, load: false, gradient: false, statistics: false, observe: false };
+    let options = RenderOptions { sh_degree, planes: true, ..RenderOptions::default() };
     Ok(backend.read(&backend.render(cloud, camera, mask, &options)?)?)
 }
 

@@ -28,8 +28,7 @@ pub fn evaluate_view<B: Backend>(
     sh_degree: u8,
     fit_exposure: bool,
 ) -> Result<ImageMetrics> {
-    let options =
-        RenderOptions { sh_degree, planes: false, load: false, gradient: false, statistics: false, observe: false };
+    let options = RenderOptions { sh_degree, ..RenderOptions::default() };
     let maps = backend.read(&backend.render(cloud, &view.camera, None, &options)?)?;
     Ok(image_metrics(&maps.color, &view.image, view.mask.as_ref(), fit_exposure))
 }

@@ -327,10 +327,11 @@ impl<'a, B: Backend> Trainer<'a, B> {
             gradient: true,
             statistics: self.options.gathers_at(self.iteration),
             observe: false,
+            free_pixels: weights.free_opacity > 0.0,
         };
         let mut render = self.backend.render(&self.cloud, &self.cameras[view], Some(&reference.view), &options)?;
         // Only planes of the neighbour are compared: its colours cost as little as can be.
-        let beside = RenderOptions { sh_degree: 0, planes: true, load: false, statistics: false, ..options };
+        let beside = RenderOptions { planes: true, gradient: true, ..RenderOptions::default() };
         let mut neighbor_render = match &other {
             Some((index, prepared)) => {
                 Some(self.backend.render(&self.cloud, &self.cameras[*index], Some(&prepared.view), &beside)?)
@@ -391,14 +392,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         self.backend.statistics(&mut self.cloud, true)?;
         let means = self.backend.download(&self.cloud)?.cloud.means;
         let mut could_see = vec![0u32; means.len()];
-        let options = RenderOptions {
-            sh_degree: 0,
-            planes: false,
-            load: false,
-            gradient: false,
-            statistics: false,
-            observe: true,
-        };
+        let options = RenderOptions { observe: true, ..RenderOptions::default() };
         for view in 0..self.views.len() {
             let prepared = self.prepared(view)?;
             let camera = &self.cameras[view];

@@ -45,8 +45,11 @@ pub(crate) struct Prepared<V> {
     pub(crate) active: CoarseMask,
 }
 
+/// When a view was last used, and the view.
+type Entry<V> = (u64, Arc<Prepared<V>>);
+
 pub(crate) struct ViewCache<B: Backend> {
-    entries: Vec<Option<(u64, Arc<Prepared<B::View>>)>>,
+    entries: Vec<Option<Entry<B::View>>>,
     bytes_of: Vec<u64>,
     bound: u64,
     clock: u64,

@@ -49,9 +49,7 @@ fn crops_and_scales_of_one_scene_decide_alike() {
 
 fn three(gradients: [f32; 3], sizes: [f32; 3]) -> (SplatCloud, DensityStatistics, Vec<Footprint>) {
     let mut cloud = cloud_on_plane(2, 1.0);
-    for array in [&mut cloud.log_scales] {
-        array.truncate(3);
-    }
+    cloud.log_scales.truncate(3);
     cloud.means.truncate(3);
     cloud.rotations.truncate(3);
     cloud.opacity_logits.truncate(3);
