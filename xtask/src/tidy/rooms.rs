@@ -33,7 +33,7 @@ const NEVER: &[(&str, &[&str], &str)] = &[
         "the schedule is written once",
     ),
     (
-        "pgsag_splat::backend::Backend",
+        "pgsag_splat::backend",
         &["pgsag_splat::cpu", "pgsag_splat::reference", "pgsag_splat::train", "pgsag_splat::conformance"],
         "the narrow waist knows no device and no schedule",
     ),
@@ -41,6 +41,7 @@ const NEVER: &[(&str, &[&str], &str)] = &[
         "pgsag_splat::equations",
         &[
             "pgsag_splat::backend::Backend",
+            "pgsag_splat::Backend",
             "pgsag_splat::losses",
             "pgsag_splat::cpu",
             "pgsag_splat::reference",

@@ -96,8 +96,14 @@ fn the_schedule_names_no_device() {
 #[test]
 fn equations_are_pure() {
     breaks(PLANE, "//! x\nfn a() { Vec::new(); } // HERE", "pure");
-    breaks(PLANE, "//! x\nuse crate::backend::Backend; // HERE", "pure");
-    passes(PLANE, "//! x\nuse super::number::Number;\nuse crate::cloud::SplatCloud;");
+    breaks(PLANE, "//! x\nuse crate::Backend; // HERE", "pure");
+    passes(PLANE, "//! x\nuse super::number::Number;\nuse crate::backend::ViewCamera;");
+}
+
+#[test]
+fn the_waist_knows_no_device() {
+    breaks("crates/pgsag-splat/src/backend.rs", "//! x\nuse crate::cpu; // HERE", "narrow waist");
+    passes("crates/pgsag-splat/src/backend.rs", "//! x\nuse crate::cloud::SplatCloud;");
 }
 
 #[test]

@@ -1,3 +1,5 @@
+//! What was typed, and what it comes to mean.
+
 use serde_json::json;
 
 use super::*;

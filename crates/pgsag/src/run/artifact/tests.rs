@@ -1,3 +1,5 @@
+//! Artifacts written and read back; damage is refused.
+
 use super::*;
 
 fn attempts() -> (tempfile::TempDir, Vec<PathBuf>) {
