@@ -35,6 +35,7 @@ fn a_long_file_is_refused() {
 #[test]
 fn a_file_without_a_header_is_refused() {
     breaks(VOTE, "/// HERE\nfn a() {}", "opens with");
+    passes("crates/pgsag-group/src/vote/tests.rs", "use super::*;");
 }
 
 #[test]
