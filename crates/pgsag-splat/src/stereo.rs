@@ -58,7 +58,7 @@ pub struct StereoOptions {
 
 impl Default for StereoOptions {
     fn default() -> Self {
-        Self { iterations: 5, patch_radius: 3, patch_step_px: 1, best_count: 2, color_sigma: 0.12, max_cost: 0.35 }
+        Self { iterations: 4, patch_radius: 2, patch_step_px: 2, best_count: 2, color_sigma: 0.12, max_cost: 0.35 }
     }
 }
 
@@ -79,7 +79,12 @@ struct Hypothesis {
     depth: f32,
     normal: [f32; 3],
     cost: f32,
+    /// The two neighbours that match best: asked first, so that a bad plane is refused early.
+    favorites: [u8; 2],
 }
+
+/// Where the favourites alone are so much worse than the kept plane, the other neighbours are not asked.
+const HOPELESS: f32 = 0.15;
 
 /// Estimates the depth of `reference` from its neighbours. `seeds` are `(x, y, depth)` of sparse points in the image;
 /// they start the search and bound it to `depth_range`. Pixels where `active` is false are left out.
@@ -121,6 +126,8 @@ struct Search<'a> {
 
 /// How far planes jump along each direction: odd steps lead to the other colour.
 const JUMPS: [i32; 6] = [1, 3, 5, 9, 15, 25];
+/// Neighbours beyond this are not asked.
+const MAX_NEIGHBORS: usize = 16;
 const DIRECTIONS: [[i32; 2]; 4] = [[1, 0], [-1, 0], [0, 1], [0, -1]];
 
 impl Search<'_> {
@@ -157,11 +164,12 @@ impl Search<'_> {
                     depth: depth.clamp(self.depth_range[0], self.depth_range[1]),
                     normal: facing(tilted([0.0, 0.0, -1.0], 0.7, &mut stream), self.ray(index)),
                     cost: f32::INFINITY,
+                    favorites: [0, 1],
                 };
                 if !self.is_active(index) {
                     return start;
                 }
-                Hypothesis { cost: self.cost(&self.patch(index), index, &start), ..start }
+                self.judged(&self.patch(index), index, start, f32::INFINITY).unwrap_or(start)
             })
             .collect()
     }
@@ -176,18 +184,30 @@ impl Search<'_> {
         Patch::new(&self.reference.gray, index, self.options)
     }
 
-    /// Mean of the best neighbours' 1 − NCC.
-    fn cost(&self, patch: &Patch, index: usize, plane: &Hypothesis) -> f32 {
+    /// The plane with its cost, the mean of the best neighbours' 1 − NCC; `None` where it is no better than `bound`.
+    fn judged(&self, patch: &Patch, index: usize, plane: Hypothesis, bound: f32) -> Option<Hypothesis> {
         let ray = self.ray(index);
         let center = [(index % self.width()) as f32 + 0.5, (index / self.width()) as f32 + 0.5];
-        let mut costs = [2.0f32; 16];
-        let count = self.matchers.len().min(costs.len());
-        for (cost, matcher) in costs.iter_mut().zip(&self.matchers) {
-            *cost = matcher.cost(patch, center, ray, plane.depth, plane.normal);
+        let count = self.matchers.len().min(MAX_NEIGHBORS);
+        let best_count = (self.options.best_count as usize).clamp(1, count.max(1));
+        let cost_of = |k: usize| self.matchers[k].cost(patch, center, ray, plane.depth, plane.normal);
+        let mut ranked = [(2.0f32, 0u8); MAX_NEIGHBORS];
+        let mut asked = 0;
+        for favorite in plane.favorites.map(usize::from).into_iter().filter(|k| *k < count) {
+            ranked[asked] = (cost_of(favorite), favorite as u8);
+            asked += 1;
         }
-        costs[..count].sort_unstable_by(f32::total_cmp);
-        let best = (self.options.best_count as usize).clamp(1, count.max(1));
-        costs[..best].iter().sum::<f32>() / best as f32
+        if asked == 2 && best_count <= 2 && (ranked[0].0 + ranked[1].0) * 0.5 > bound + HOPELESS {
+            return None;
+        }
+        for k in (0..count).filter(|k| !plane.favorites.contains(&(*k as u8))) {
+            ranked[asked] = (cost_of(k), k as u8);
+            asked += 1;
+        }
+        ranked[..asked].sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let cost = ranked[..best_count].iter().map(|r| r.0).sum::<f32>() / best_count as f32;
+        let favorites = if asked > 1 { [ranked[0].1, ranked[1].1] } else { [0, 1] };
+        (cost < bound).then_some(Hypothesis { cost, favorites, ..plane })
     }
 
     fn half_step(&self, state: &[Hypothesis], iteration: u32, color: usize) -> Vec<Hypothesis> {
@@ -211,9 +231,10 @@ impl Search<'_> {
         let mut best = state[index];
         let mut consider = |candidate: Hypothesis| {
             if candidate.depth >= self.depth_range[0] && candidate.depth <= self.depth_range[1] {
-                let cost = self.cost(&patch, index, &candidate);
-                if cost < best.cost {
-                    best = Hypothesis { cost, ..candidate };
+                // The pixel's own favourites: what a donor sees well may be hidden here.
+                let candidate = Hypothesis { favorites: best.favorites, ..candidate };
+                if let Some(better) = self.judged(&patch, index, candidate, best.cost) {
+                    best = better;
                 }
             }
             best
