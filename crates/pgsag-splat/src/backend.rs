@@ -306,6 +306,37 @@ pub struct OptimizerState {
     pub statistics: DensityStatistics,
 }
 
+impl OptimizerState {
+    /// A cloud that has not been trained yet: zero moments, empty statistics.
+    #[must_use]
+    pub fn fresh(cloud: SplatCloud) -> Self {
+        let zero = SplatCloud {
+            means: vec![[0.0; 3]; cloud.len()],
+            log_scales: vec![[0.0; 3]; cloud.len()],
+            rotations: vec![[0.0; 4]; cloud.len()],
+            opacity_logits: vec![0.0; cloud.len()],
+            harmonics: vec![0.0; cloud.harmonics.len()],
+            ..cloud
+        };
+        let statistics = DensityStatistics::empty(cloud.len());
+        Self { first: zero.clone(), second: zero, statistics, cloud }
+    }
+}
+
+impl DensityStatistics {
+    /// Nothing gathered yet for `count` Gaussians.
+    #[must_use]
+    pub fn empty(count: usize) -> Self {
+        Self {
+            gradient: vec![0.0; count],
+            absolute_gradient: vec![0.0; count],
+            visible_count: vec![0; count],
+            radius_px: vec![0.0; count],
+            observed_count: vec![0; count],
+        }
+    }
+}
+
 /// All that a device must do.
 pub trait Backend {
     /// Parameters, gradients, Adam moments, statistics. Device-resident.

@@ -91,22 +91,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
         options: TrainOptions,
         seed: u64,
     ) -> Result<Self> {
-        let zero = |cloud: &SplatCloud| SplatCloud {
-            means: vec![[0.0; 3]; cloud.len()],
-            log_scales: vec![[0.0; 3]; cloud.len()],
-            rotations: vec![[0.0; 4]; cloud.len()],
-            opacity_logits: vec![0.0; cloud.len()],
-            harmonics: vec![0.0; cloud.harmonics.len()],
-            ..cloud.clone()
-        };
         let cameras: Vec<ViewCamera> = (0..views.len()).map(|i| views.camera(i)).collect();
         let (scene_scale, gsd) = medians(&cloud, &cameras).ok_or(TrainError::Empty("no Gaussian lies in any view"))?;
-        let state = OptimizerState {
-            first: zero(&cloud),
-            second: zero(&cloud),
-            statistics: empty_statistics(cloud.len()),
-            cloud,
-        };
         let checkpoint = Checkpoint {
             options: fingerprint(&options),
             seed,
@@ -117,7 +103,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             gsd,
             exposure_frozen: false,
             exposures: Exposures::neutral(views.len()),
-            state,
+            state: OptimizerState::fresh(cloud),
         };
         Self::resume(backend, views, neighbors, options, &checkpoint)
     }
@@ -418,16 +404,6 @@ impl<'a, B: Backend> Trainer<'a, B> {
 
 fn with_near(camera: ViewCamera, scene_scale: f32, options: &TrainOptions) -> ViewCamera {
     ViewCamera { near: camera.near.max(f64::from(scene_scale) * f64::from(options.near)), ..camera }
-}
-
-fn empty_statistics(count: usize) -> crate::backend::DensityStatistics {
-    crate::backend::DensityStatistics {
-        gradient: vec![0.0; count],
-        absolute_gradient: vec![0.0; count],
-        visible_count: vec![0; count],
-        radius_px: vec![0.0; count],
-        observed_count: vec![0; count],
-    }
 }
 
 fn diverged(error: TrainError, iteration: u32, view: usize) -> TrainError {

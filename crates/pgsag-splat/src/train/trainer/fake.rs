@@ -108,7 +108,7 @@ impl Backend for Fake {
         found.observed_count =
             vec![std::mem::take(&mut *self.observed.lock().expect("one thread")); cloud.0.cloud.len()];
         if reset {
-            cloud.0.statistics = empty_statistics(cloud.0.cloud.len());
+            cloud.0.statistics = DensityStatistics::empty(cloud.0.cloud.len());
         }
         Ok(found)
     }
@@ -134,7 +134,7 @@ impl Backend for Fake {
             part.harmonics =
                 from.iter().flat_map(|(i, _)| old.harmonics[i * basis..(i + 1) * basis].to_vec()).collect();
         }
-        state.statistics = empty_statistics(count);
+        state.statistics = DensityStatistics::empty(count);
         Ok(())
     }
 }
