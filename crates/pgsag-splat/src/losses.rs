@@ -7,7 +7,10 @@
 pub mod boundary_normal;
 pub mod flatness;
 pub mod free_opacity;
+pub mod geometric;
 pub mod image_gradient;
+pub mod load_balance;
+pub mod ncc;
 pub mod photometric;
 mod rows;
 pub mod total;

@@ -6,6 +6,9 @@
 
 use super::boundary_normal::{NormalMaps, boundary_normal};
 use super::free_opacity::free_opacity;
+use super::geometric::{DepthView, Geometric, geometric};
+use super::load_balance::load_balance;
+use super::ncc::{NccInputs, ncc};
 use super::photometric::{PhotometricWeights, photometric};
 use super::rows::sum_rows;
 use super::view::LossView;
@@ -14,6 +17,11 @@ use crate::equations::Scalar;
 use crate::equations::algebra::{Vec3, add};
 use crate::equations::plane;
 use crate::equations::projection::Lens;
+
+/// The load term's size relative to the main loss, before λ. Published code: between 0.1 and 1, by decades.
+const LOAD_TO_MAIN: f64 = 0.1;
+/// λ is held below this, where λ/(1−λ) is still a weight.
+const LOAD_SHARE_MAX: f64 = 0.95;
 
 /// What was rendered, `[H * W]` each; `normal` and `distance` may be empty without planes, `load` without load.
 #[derive(Clone, Copy, Debug)]
@@ -91,7 +99,7 @@ pub fn evaluate<T: Scalar>(inputs: &Inputs<'_, T>) -> Evaluation<T> {
         out.values.free_opacity = value as f32;
         main += weight * value;
     }
-    out.values.total = main as f32;
+    out.values.total = (main + add_load(inputs, main, &mut out)) as f32;
     out
 }
 
@@ -120,7 +128,8 @@ fn add_photometric<T: Scalar>(inputs: &Inputs<'_, T>, out: &mut Evaluation<T>) -
 /// The terms that look at planes: Eq. 8 and the multi-view ones.
 fn add_surface<T: Scalar>(inputs: &Inputs<'_, T>, out: &mut Evaluation<T>) -> f64 {
     let (view, weights) = (inputs.view, inputs.weights);
-    if weights.normal == 0.0 {
+    let pair = inputs.neighbor.filter(|_| weights.geometric != 0.0 || weights.ncc != 0.0);
+    if weights.normal == 0.0 && pair.is_none() {
         return 0.0;
     }
     let depth = depth_map(view, &inputs.maps);
@@ -135,8 +144,74 @@ fn add_surface<T: Scalar>(inputs: &Inputs<'_, T>, out: &mut Evaluation<T>) -> f6
         out.values.normal = value as f32;
         sum += weight * value;
     }
+    if let Some((other, maps)) = pair {
+        let gates = add_geometric(inputs, DepthView { view, depth: &depth }, (other, &maps), &mut d_depth, out);
+        sum += f64::from(weights.geometric) * gates.value + add_ncc(inputs, other, &gates.weights, out);
+    }
     chain_depth(view, &inputs.maps, &d_depth, &mut out.reference);
     sum
+}
+
+/// L_mvgeo; the neighbour's gradient is carried to its N and D.
+fn add_geometric<T: Scalar>(
+    inputs: &Inputs<'_, T>,
+    reference: DepthView<'_, T>,
+    (other, maps): (&LossView, &RenderedMaps<'_, T>),
+    d_depth: &mut [T],
+    out: &mut Evaluation<T>,
+) -> Geometric<T> {
+    let depth = depth_map(other, maps);
+    let mut d_other = zeros(other);
+    let weight = f64::from(inputs.weights.geometric);
+    let gate_px = f64::from(inputs.weights.geometric_gate_px);
+    let neighbor = DepthView { view: other, depth: &depth };
+    let found = geometric(reference, neighbor, gate_px, weight, [d_depth, &mut d_other]);
+    out.values.geometric = found.value as f32;
+    out.values.geometric_valid = found.valid_count as f32 / reference.view.active_count.max(1) as f32;
+    if weight != 0.0 {
+        out.neighbor.normal = zeros(other);
+        out.neighbor.distance = zeros(other);
+        chain_depth(other, maps, &d_other, &mut out.neighbor);
+    }
+    found
+}
+
+/// L_mvrgb; returns its weighted value.
+fn add_ncc<T: Scalar>(inputs: &Inputs<'_, T>, neighbor: &LossView, gates: &[T], out: &mut Evaluation<T>) -> f64 {
+    let weight = f64::from(inputs.weights.ncc);
+    if weight == 0.0 {
+        return 0.0;
+    }
+    let patches = NccInputs {
+        view: inputs.view,
+        neighbor,
+        normal: inputs.maps.normal,
+        distance: inputs.maps.distance,
+        weights: gates,
+        patch_limit: inputs.weights.ncc_patches as usize,
+        seed: inputs.seed,
+    };
+    let MapGradients { normal, distance, .. } = &mut out.reference;
+    let (value, kept) = ncc(&patches, weight, normal, distance);
+    out.values.ncc = value as f32;
+    out.values.ncc_patches = kept as u32;
+    weight * value
+}
+
+/// λ/(1−λ) · s σ with s = 0.1 · (L_main / σ), held constant: one order below the main loss, as in the published code,
+/// but without its jumps by powers of ten. Returns its part of the total.
+fn add_load<T: Scalar>(inputs: &Inputs<'_, T>, main: f64, out: &mut Evaluation<T>) -> f64 {
+    let share = f64::from(inputs.weights.load);
+    if share == 0.0 || inputs.maps.load.is_empty() {
+        return 0.0;
+    }
+    let weight = share / (1.0 - share.min(LOAD_SHARE_MAX));
+    let scale = |sigma: f64| weight * LOAD_TO_MAIN * main / sigma;
+    out.reference.load = zeros(inputs.view);
+    let (reading, over_mask) = (inputs.weights.reading, inputs.weights.mean_over_mask);
+    let sigma = load_balance(inputs.view, inputs.maps.load, reading, over_mask, scale, &mut out.reference.load);
+    out.values.load = sigma as f32;
+    if sigma > 0.0 { weight * LOAD_TO_MAIN * main } else { 0.0 }
 }
 
 /// Unbiased depth (Eq. 4) of the active pixels, 0 elsewhere.

@@ -1,0 +1,92 @@
+use super::*;
+use crate::equations::algebra::transpose_vec;
+use crate::losses::tests::{loss_view, triples, turned};
+use crate::proof;
+
+const WIDTH: u32 = 30;
+const HEIGHT: u32 = 24;
+const COUNT: usize = (WIDTH * HEIGHT) as usize;
+
+fn wave(x: f64, y: f64) -> f32 {
+    (0.5 + 0.2 * libm::sin(2.3 * x + 0.4) * libm::cos(1.7 * y) + 0.15 * libm::sin(3.1 * y - 0.9 * x)) as f32
+}
+
+/// Two views of one smooth texture on the plane z = 4.
+fn views() -> (LossView, LossView) {
+    let mut pair = (loss_view(WIDTH, HEIGHT, 1, false), turned(WIDTH, HEIGHT, 2, false));
+    for view in [&mut pair.0, &mut pair.1] {
+        let lens = Lens::<f64>::new(&view.camera);
+        for index in 0..COUNT {
+            let ray = lens.ray((index % WIDTH as usize) as f64, (index / WIDTH as usize) as f64);
+            let world = transpose_vec(&lens.rotation, ray);
+            let depth = (4.0 - lens.eye[2]) / world[2];
+            view.gray[index] = wave(lens.eye[0] + depth * world[0], lens.eye[1] + depth * world[1]);
+        }
+    }
+    pair
+}
+
+fn inputs<'a>(
+    pair: &'a (LossView, LossView),
+    normal: &'a [Vec3<f64>],
+    distance: &'a [f64],
+    weights: &'a [f64],
+) -> NccInputs<'a, f64> {
+    NccInputs { view: &pair.0, neighbor: &pair.1, normal, distance, weights, patch_limit: 50, seed: 11 }
+}
+
+#[test]
+fn ncc_grad_matches_differences() {
+    let pair = views();
+    let weights = vec![0.8; COUNT];
+    let mut random = SplitMix64::new(6);
+    let mut at: Vec<f64> = (0..COUNT).map(|_| random.range(3.0, 3.3)).collect();
+    at.extend((0..COUNT).flat_map(|_| [random.range(-0.1, 0.1), random.range(-0.1, 0.1), random.range(-0.85, -0.8)]));
+    let value = |at: &[f64]| {
+        let normal = triples(&at[COUNT..]);
+        let (mut d_normal, mut d_distance) = (vec![[0.0; 3]; COUNT], vec![0.0; COUNT]);
+        let inputs = inputs(&pair, &normal, &at[..COUNT], &weights);
+        let (value, kept) = ncc(&inputs, 1.0, &mut d_normal, &mut d_distance);
+        (value, kept, [d_distance, d_normal.concat()].concat())
+    };
+    let (loss, kept, gradient) = value(&at);
+    assert!(kept > 30 && loss > 0.0, "{kept} {loss}");
+    proof::gradient_with_step(|at| value(at).0, &at, &gradient, 1e-6, 1e-7);
+}
+
+#[test]
+fn the_true_plane_correlates_and_a_wrong_one_does_not() {
+    let pair = views();
+    let weights = vec![1.0; COUNT];
+    let normal = vec![[0.0, 0.0, -1.0]; COUNT];
+    let loss = |distance: f64| {
+        let distance = vec![distance; COUNT];
+        ncc(&inputs(&pair, &normal, &distance, &weights), 0.0, &mut vec![[0.0; 3]; COUNT], &mut vec![0.0; COUNT])
+    };
+    let (right, kept) = loss(4.0);
+    assert!(kept > 30 && right < 0.05, "{right} {kept}");
+    assert!(loss(3.4).0 > 2.0 * right);
+}
+
+#[test]
+fn inverted_contrast_is_refused() {
+    let mut pair = views();
+    pair.1.gray.iter_mut().for_each(|value| *value = 1.0 - *value);
+    let (normal, distance, weights) = (vec![[0.0, 0.0, -1.0]; COUNT], vec![4.0; COUNT], vec![1.0; COUNT]);
+    let found =
+        ncc(&inputs(&pair, &normal, &distance, &weights), 0.0, &mut vec![[0.0; 3]; COUNT], &mut vec![0.0; COUNT]);
+    assert_eq!(found.1, 0);
+}
+
+#[test]
+fn patches_are_drawn_once_and_by_seed() {
+    let pair = views();
+    let (normal, distance, weights) = (vec![[0.0, 0.0, -1.0]; COUNT], vec![4.0; COUNT], vec![1.0; COUNT]);
+    let mut ask = inputs(&pair, &normal, &distance, &weights);
+    let first = draw(&ask);
+    assert_eq!(first.len(), 50);
+    assert!(first.windows(2).all(|two| two[0] < two[1]));
+    assert_eq!(first, draw(&ask));
+    ask.seed = 12;
+    assert_ne!(first, draw(&ask));
+}
