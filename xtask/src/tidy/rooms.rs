@@ -61,6 +61,11 @@ const NEVER: &[(&str, &[&str], &str)] = &[
         &["pgsag_splat::cpu", "pgsag_splat::reference", "pgsag_splat::train", "pgsag_splat::conformance"],
         "a loss knows no device and no schedule",
     ),
+    (
+        "pgsag_splat::stereo",
+        &["pgsag_splat::cpu", "pgsag_splat::reference", "pgsag_splat::train", "pgsag_splat::conformance"],
+        "stereo comes before there is any Gaussian",
+    ),
     ("pgsag_splat::cpu", &["pgsag_splat::reference", "pgsag_splat::train"], "a device knows no schedule and no twin"),
     ("pgsag_splat::reference", &["pgsag_splat::cpu", "pgsag_splat::train"], "a device knows no schedule and no twin"),
     ("pgsag::run", &["pgsag::stages", "pgsag::pipeline"], "the runner can be tested with three toy stages"),
