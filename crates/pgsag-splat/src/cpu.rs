@@ -1,1 +1,7 @@
-//! The embedded backend: tiles x lanes x threads, deterministic.
+//! The embedded backend.
+mod backward;
+mod bins;
+mod forward;
+mod lanes;
+mod layout;
+mod sort;

@@ -1,0 +1,187 @@
+//! Gradient of the blending of one tile, front to back.
+//!
+//! Because opacity sums are rendered too, all upstream gradients of a pixel act through one number per Gaussian,
+//! d = Σ_k ĝ_k c_k; and what lies behind a Gaussian acts through another, the rest of Σ_j w_j d_j. So the walk needs
+//! no channel-wise "behind", no division to recover transmittance, and the same order as the forward pass.
+//! Gaussians are the outer loop: the sums of one Gaussian over the tile stay in registers, are folded by one tree and
+//! stored as one record at the pair's place. No two tiles share a place, so there is nothing atomic.
+//!
+//!     ĝc_k = w ĝ_k,   ĝα = T d − rest / (1 − α),   v = α ĝα   (0 where alpha is held at its maximum)
+
+use std::sync::atomic::Ordering::Relaxed;
+
+use fearless_simd::{Simd, prelude::*};
+
+use super::{
+    bins::place::{FEATURES, X, XX, XY, Y, YY},
+    forward::{ALPHA_MAX, Tile, drawn_light, exponent_at},
+    lanes::{BLOCKS, LANE_X, LANE_Y, LANES, Line, exp2, sums},
+    layout::block_corner,
+};
+use crate::equations::blend::{LOAD_CENTER, LOAD_STEEPNESS};
+
+/// Sums of one pair over the pixels of its tile; `(dx, dy)` from the Gaussian's centre.
+pub(crate) mod sum {
+    /// Σ v
+    pub(crate) const V: usize = 0;
+    /// Σ v dx
+    pub(crate) const VX: usize = 1;
+    /// Σ v dy
+    pub(crate) const VY: usize = 2;
+    /// Σ v dx²
+    pub(crate) const VXX: usize = 3;
+    /// Σ v dx dy
+    pub(crate) const VXY: usize = 4;
+    /// Σ v dy²
+    pub(crate) const VYY: usize = 5;
+    /// Σ w ĝ_k
+    pub(crate) const FEATURES: usize = 6;
+    /// Σ |∂/∂u| per pixel, in the record's units.
+    pub(crate) const ABSOLUTE_U: usize = 13;
+    /// Σ |∂/∂v| per pixel, in the record's units.
+    pub(crate) const ABSOLUTE_V: usize = 14;
+    /// Pixels covered.
+    pub(crate) const COVERED: usize = 15;
+}
+
+/// Planes of upstream gradients before those of the features: Σ_k ĝ_k C_k, and the gradient of the opacity sum.
+pub(crate) const LEADING_PLANES: usize = 2;
+
+/// Upstream gradients of one tile.
+#[derive(Clone, Copy)]
+pub(crate) struct Upstream<'a> {
+    /// `[BLOCKS * (LEADING_PLANES + F)]`: rest, opacity sum, features.
+    pub(crate) planes: &'a [Line],
+    /// `[BLOCKS]` gradient of the load; read with `LOAD` alone.
+    pub(crate) load: Option<&'a [Line]>,
+    /// `[pairs]` from the forward pass.
+    pub(crate) blocks: &'a [u16],
+}
+
+/// What the walk keeps per block: transmittance and the rest, and copies of the rest of the upstream planes.
+struct State<const P: usize> {
+    light: [Line; BLOCKS],
+    planes: [[Line; P]; BLOCKS],
+}
+
+/// Writes the sums of every pair that covers a pixel to `out` (`[pairs]`); leaves the others alone.
+/// `F` features, `P` = F + 2 planes. `LOAD` adds the surrogate of Eq. 9 to ĝα, and then `plain` (`[pairs]`, else empty)
+/// receives Σ v dx and Σ v dy without it, for the density statistics.
+#[inline(always)]
+pub(crate) fn unblend<S: Simd, const F: usize, const P: usize, const STATISTICS: bool, const LOAD: bool>(
+    simd: S,
+    tile: &Tile<'_>,
+    upstream: &Upstream<'_>,
+    out: &mut [Line],
+    plain: &mut [[f32; 2]],
+) {
+    let mut state = State::<P> { light: drawn_light(tile.drawn), planes: [[Line::ZERO; P]; BLOCKS] };
+    for (to, from) in state.planes.iter_mut().zip(upstream.planes.chunks_exact(P)) {
+        to.copy_from_slice(from);
+    }
+    for (pair, gaussian) in tile.gaussians.iter().enumerate() {
+        if upstream.blocks[pair] == 0 {
+            continue;
+        }
+        let record = &tile.records[gaussian.load(Relaxed) as usize];
+        let mut totals = [S::f32s::splat(simd, 0.0); 16];
+        let mut plain_totals = [S::f32s::splat(simd, 0.0); 2];
+        let mut bits = upstream.blocks[pair];
+        while bits != 0 {
+            let block = bits.trailing_zeros() as usize % BLOCKS;
+            bits &= bits - 1;
+            for part in 0..LANES / S::f32s::LEN {
+                let at = Place { block, lane: part * S::f32s::LEN, load: upstream.load };
+                walk::<S, F, P, STATISTICS, LOAD>(simd, tile, record, &at, &mut state, &mut totals, &mut plain_totals);
+            }
+        }
+        sums(simd, totals, &mut out[pair]);
+        if LOAD && STATISTICS {
+            plain[pair] = plain_totals.map(|total| total.reduce_sum());
+        }
+    }
+}
+
+/// A vector's worth of pixels of a block.
+struct Place<'a> {
+    block: usize,
+    lane: usize,
+    load: Option<&'a [Line]>,
+}
+
+#[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "the walk's registers; a struct of them would live in memory")]
+fn walk<S: Simd, const F: usize, const P: usize, const STATISTICS: bool, const LOAD: bool>(
+    simd: S,
+    tile: &Tile<'_>,
+    record: &Line,
+    at: &Place<'_>,
+    state: &mut State<P>,
+    totals: &mut [S::f32s; 16],
+    plain: &mut [S::f32s; 2],
+) {
+    let r = &record.0;
+    let splat = |value: f32| S::f32s::splat(simd, value);
+    let (x, y) = block_corner(at.block);
+    let dx = LANE_X.load(simd, at.lane) + (tile.corner.0 + x) - r[X];
+    let dy = LANE_Y.load(simd, at.lane) + (tile.corner.1 + y) - r[Y];
+    let planes = &mut state.planes[at.block];
+    let before = state.light[at.block].load(simd, at.lane);
+
+    let exponent = exponent_at(simd, r, dx, dy);
+    let reaches = exponent.simd_ge(splat(tile.cuts.alpha_log2));
+    let free = exp2(simd, exponent);
+    let alpha = reaches.select(free.min(ALPHA_MAX), splat(0.0));
+    let weight = alpha * before;
+    let after = before - weight;
+    state.light[at.block].store(simd, at.lane, after);
+    let covered = reaches & after.simd_ge(splat(tile.cuts.stop));
+    let weight = covered.select(weight, splat(0.0));
+
+    let mut along = planes[1].load(simd, at.lane);
+    for feature in 0..F {
+        let gradient = planes[LEADING_PLANES + feature].load(simd, at.lane);
+        along = gradient.mul_add(splat(r[FEATURES + feature]), along);
+        totals[sum::FEATURES + feature] = weight.mul_add(gradient, totals[sum::FEATURES + feature]);
+    }
+    let rest = planes[0].load(simd, at.lane) - weight * along;
+    planes[0].store(simd, at.lane, rest);
+    let mut d_alpha = before * along - rest / (splat(1.0) - alpha);
+    let moves = covered & free.simd_lt(splat(ALPHA_MAX));
+    let alpha = moves.select(alpha, splat(0.0));
+    let mut v = alpha * d_alpha;
+    if STATISTICS {
+        // In units of the record: ∂/∂u is −ln 2 times (2 XX dx + XY dy) v.
+        let (vx, vy) = (v * dx, v * dy);
+        let u = vx.mul_add(splat(2.0 * r[XX]), vy * r[XY]);
+        let w = vy.mul_add(splat(2.0 * r[YY]), vx * r[XY]);
+        totals[sum::ABSOLUTE_U] += u.abs();
+        totals[sum::ABSOLUTE_V] += w.abs();
+        totals[sum::COVERED] += covered.select(splat(1.0), splat(0.0));
+        if LOAD {
+            plain[0] += vx;
+            plain[1] += vy;
+        }
+    }
+    if let (true, Some(load)) = (LOAD, at.load) {
+        d_alpha += load_slope(simd, alpha) * load[at.block].load(simd, at.lane);
+        v = alpha * d_alpha;
+    }
+    let (vx, vy) = (v * dx, v * dy);
+    totals[sum::V] += v;
+    totals[sum::VX] += vx;
+    totals[sum::VY] += vy;
+    totals[sum::VXX] = vx.mul_add(dx, totals[sum::VXX]);
+    totals[sum::VXY] = vx.mul_add(dy, totals[sum::VXY]);
+    totals[sum::VYY] = vy.mul_add(dy, totals[sum::VYY]);
+}
+
+/// ∂load/∂α = k E / (1 + E)², E = e^{−k (α − α₀)}: [`crate::equations::blend::load_grad`] in lanes.
+#[inline(always)]
+fn load_slope<S: Simd>(simd: S, alpha: S::f32s) -> S::f32s {
+    let steepness = (LOAD_STEEPNESS * std::f64::consts::LOG2_E) as f32;
+    let offset = S::f32s::splat(simd, LOAD_CENTER as f32) - alpha;
+    let e = exp2(simd, (offset * steepness).max(-60.0));
+    let sum = e + 1.0;
+    e * (LOAD_STEEPNESS as f32) / (sum * sum)
+}

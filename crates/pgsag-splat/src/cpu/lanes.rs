@@ -1,0 +1,158 @@
+//! Vector levels and the few vector functions the kernels share.
+//!
+//! Kernels are written once, generic over `fearless_simd::Simd`, for vectors of the level's native width (16, 8 or 4
+//! lanes), and entered through `at_level!`, which compiles them for every level that this file names.
+//! Everything they call is `#[inline(always)]`, so that it is compiled with the level's instructions.
+
+use fearless_simd::{Level, Simd, prelude::*};
+use serde::{Deserialize, Serialize};
+
+/// Edge of a tile, pixels.
+pub(crate) const TILE: usize = 16;
+/// Edge of a block, pixels; a block is what one 16-lane vector covers.
+pub(crate) const BLOCK: usize = 4;
+/// Pixels of a block.
+pub(crate) const LANES: usize = BLOCK * BLOCK;
+/// Blocks of a tile.
+pub(crate) const BLOCKS: usize = (TILE / BLOCK) * (TILE / BLOCK);
+
+/// One value per pixel of a block, or per Gaussian of a group of 16: a cache line.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C, align(64))]
+pub(crate) struct Line(pub(crate) [f32; LANES]);
+
+impl Line {
+    /// All zero.
+    pub(crate) const ZERO: Self = Self([0.0; LANES]);
+
+    /// The vector that starts at lane `at`.
+    #[inline(always)]
+    pub(crate) fn load<S: Simd>(&self, simd: S, at: usize) -> S::f32s {
+        S::f32s::from_slice(simd, &self.0[at..at + S::f32s::LEN])
+    }
+
+    /// Stores a vector at lane `at`.
+    #[inline(always)]
+    pub(crate) fn store<S: Simd>(&mut self, _simd: S, at: usize, vector: S::f32s) {
+        vector.store_slice(&mut self.0[at..at + S::f32s::LEN]);
+    }
+}
+
+/// Which vector instructions to use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SimdLevel {
+    /// The best that this machine has.
+    #[default]
+    Auto,
+    /// 16 lanes (x86-64, Ice Lake and Zen 4 or newer).
+    Avx512,
+    /// 8 lanes with fused multiply-add (x86-64-v3).
+    Avx2,
+    /// 4 lanes (aarch64).
+    Neon,
+    /// No vector instructions beyond those that the compiler finds; everywhere.
+    Scalar,
+}
+
+impl SimdLevel {
+    /// The levels that this machine can run, best first; never `Auto`, always `Scalar` at the end.
+    #[must_use]
+    pub fn available() -> Vec<Self> {
+        [Self::Avx512, Self::Avx2, Self::Neon, Self::Scalar]
+            .into_iter()
+            .filter(|level| level.detected().is_some())
+            .collect()
+    }
+
+    /// The proof that the machine has this level; `None` where it has not.
+    pub(crate) fn detected(self) -> Option<Level> {
+        #[cfg(target_arch = "x86_64")]
+        let best = Level::new();
+        match self {
+            Self::Auto => Self::available().first().and_then(|level| level.detected()),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => best.as_avx512().map(|token| token.level()),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => best.as_avx2().map(|token| token.level()),
+            #[cfg(target_arch = "aarch64")]
+            Self::Neon => Level::new().as_neon().map(|token| token.level()),
+            Self::Scalar => Some(Level::fallback()),
+            #[allow(unreachable_patterns, reason = "which levels remain depends on the target")]
+            _ => None,
+        }
+    }
+}
+
+/// Runs an expression with `$simd` bound to the token of `$level`, compiled with that level's instructions.
+macro_rules! at_level {
+    ($level:expr, $simd:ident => $run:expr) => {
+        match $level {
+            #[cfg(target_arch = "x86_64")]
+            fearless_simd::Level::Avx512($simd) => fearless_simd::Simd::vectorize($simd, #[inline(always)] || $run),
+            #[cfg(target_arch = "x86_64")]
+            fearless_simd::Level::Avx2($simd) => fearless_simd::Simd::vectorize($simd, #[inline(always)] || $run),
+            #[cfg(target_arch = "aarch64")]
+            fearless_simd::Level::Neon($simd) => fearless_simd::Simd::vectorize($simd, #[inline(always)] || $run),
+            fearless_simd::Level::Fallback($simd) => fearless_simd::Simd::vectorize($simd, #[inline(always)] || $run),
+            _ => unreachable!("SimdLevel::detected names only the levels above"),
+        }
+    };
+}
+pub(crate) use at_level;
+
+/// 2 to the power of `x`, for `x` in [-126, 126]; anything outside. Relative error 7.5e-8 (degree 5 on [-1/2, 1/2]).
+/// Own polynomial, so that every machine computes the same.
+#[inline(always)]
+pub(crate) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    /// 1.5 · 2^23: adding it leaves the nearest integer in the low bits of the significand.
+    const ROUND: f32 = 12_582_912.0;
+    let shifted = x + ROUND;
+    let fraction = x - (shifted - ROUND);
+    let mut value = S::f32s::splat(simd, 1.327_647_2e-3);
+    for coefficient in [9.675_541e-3, 5.550_713e-2, 2.402_212e-1, 6.931_47e-1, 1.000_000_1] {
+        value = value.mul_add(fraction, S::f32s::splat(simd, coefficient));
+    }
+    let exponent = shifted.bitcast::<S::u32s>() << 23;
+    (value.bitcast::<S::u32s>() + exponent).bitcast::<S::f32s>()
+}
+
+/// Sums of the lanes of 16 vectors: `out[i]` is the sum of `vectors[i]`, by one shuffle-add tree.
+#[inline(always)]
+pub(crate) fn sums<S: Simd>(simd: S, vectors: [S::f32s; 16], out: &mut Line) {
+    let fold = |a: S::f32s, b: S::f32s| a.unzip_low(b) + a.unzip_high(b);
+    let pairs: [S::f32s; 8] = std::array::from_fn(|i| fold(vectors[2 * i], vectors[2 * i + 1]));
+    let quads: [S::f32s; 4] = std::array::from_fn(|i| fold(pairs[2 * i], pairs[2 * i + 1]));
+    if S::f32s::LEN == 4 {
+        for i in 0..4 {
+            out.store(simd, 4 * i, quads[i]);
+        }
+        return;
+    }
+    let octets: [S::f32s; 2] = std::array::from_fn(|i| fold(quads[2 * i], quads[2 * i + 1]));
+    if S::f32s::LEN == 8 {
+        out.store(simd, 0, octets[0]);
+        out.store(simd, 8, octets[1]);
+    } else {
+        out.store(simd, 0, fold(octets[0], octets[1]));
+    }
+}
+
+/// Columns and rows of the pixel centres of a block's 16 lanes, relative to its corner.
+pub(crate) const LANE_X: Line = lane_offsets(true);
+/// See [`LANE_X`].
+pub(crate) const LANE_Y: Line = lane_offsets(false);
+
+const fn lane_offsets(columns: bool) -> Line {
+    let mut offsets = [0.0; LANES];
+    let mut lane = 0;
+    while lane < LANES {
+        let at = if columns { lane % BLOCK } else { lane / BLOCK };
+        offsets[lane] = at as f32 + 0.5;
+        lane += 1;
+    }
+    Line(offsets)
+}
+
+#[cfg(test)]
+mod tests;
