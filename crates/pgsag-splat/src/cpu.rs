@@ -1,7 +1,365 @@
-//! The embedded backend.
+//! The embedded backend: the same code on every processor, as fast as its vector units allow.
+//!
+//! `project` (cloud to records and lists of tiles) > `bins` (lists, front to back) > `forward` (blending) > `maps` and
+//! the losses > `backward` (sums per Gaussian and tile) > `gradient` (back to parameters) > `adam`.
+//! Everything of size N or pixels runs on the current rayon pool; every sum has a fixed order and nothing is atomic
+//! but plain stores, so results are the same bytes on any number of threads. Vector levels differ by rounding alone.
+
+mod adam;
 mod backward;
 mod bins;
+mod cloud;
 mod forward;
+mod gradient;
 mod lanes;
 mod layout;
+mod maps;
+mod project;
+mod render;
 mod sort;
+mod wide;
+
+use std::{
+    fmt,
+    sync::{Arc, Mutex, PoisonError, atomic::Ordering::Relaxed},
+};
+
+use fearless_simd::Level;
+use pgsag_scene::{Map, PixelClass};
+use rayon::prelude::*;
+
+pub use cloud::CpuCloud;
+pub use lanes::SimdLevel;
+pub use render::CpuRender;
+
+use crate::backend::{
+    Backend, BackendError, DensityPlan, DensityStatistics, Limits, LossValues, OptimizerState, PlaneMaps, Rates,
+    RenderOptions, Result, Sample, TrainingView, ViewCamera,
+};
+use crate::cloud::SplatCloud;
+use crate::equations::{plane as planes, projection::Lens};
+use crate::losses::{Inputs, LossView, evaluate};
+use cloud::plane;
+use forward::Cuts;
+use gradient::{Return, Sums, gradients};
+use lanes::LANES;
+use layout::Layout;
+use maps::{Rows, take_gradients};
+use project::{Projection, project};
+use render::{Buffers, Pool};
+
+/// How [`Cpu`] works.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CpuOptions {
+    /// Vector instructions.
+    pub simd: SimdLevel,
+    /// Where blending begins and ends.
+    pub limits: Limits,
+}
+
+/// Called with the name of every phase as it ends, on the thread that called the backend.
+pub type Probe = Box<dyn Fn(&'static str) + Send + Sync>;
+
+/// The embedded backend.
+pub struct Cpu {
+    level: Level,
+    cuts: Cuts,
+    pool: Arc<Pool>,
+    scratch: Mutex<Scratch>,
+    probe: Option<Probe>,
+}
+
+/// Buffers between calls.
+#[derive(Default)]
+struct Scratch {
+    rows: [Rows; 2],
+    sums: Vec<lanes::Line>,
+    plain: Vec<[f32; 2]>,
+    whole: Option<Arc<Layout>>,
+}
+
+impl fmt::Debug for Cpu {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Cpu").field("level", &self.level).field("cuts", &self.cuts).finish_non_exhaustive()
+    }
+}
+
+/// A view on the CPU: what the losses need of it, and what is drawn of it.
+#[derive(Clone, Debug)]
+pub struct CpuView {
+    losses: LossView,
+    active: Arc<Layout>,
+    with_free: Arc<Layout>,
+}
+
+impl Cpu {
+    /// The backend with these options.
+    ///
+    /// # Errors
+    /// Where this machine lacks the vector instructions that were asked for.
+    pub fn new(options: CpuOptions) -> Result<Self> {
+        let level = options.simd.detected().ok_or_else(|| {
+            BackendError::Device(format!(
+                "this machine has no {:?} instructions; choose one of {:?}, or Auto",
+                options.simd,
+                SimdLevel::available()
+            ))
+        })?;
+        let cuts = Cuts {
+            alpha_log2: libm::log2f(options.limits.alpha_cut).max(-100.0),
+            stop: options.limits.transmittance_stop,
+        };
+        Ok(Self { level, cuts, pool: Arc::default(), scratch: Mutex::default(), probe: None })
+    }
+
+    /// The same, telling `probe` when phases end: for benchmarks.
+    #[must_use]
+    pub fn with_probe(mut self, probe: Probe) -> Self {
+        self.probe = Some(probe);
+        self
+    }
+
+    fn phase(&self, name: &'static str) {
+        if let Some(probe) = &self.probe {
+            probe(name);
+        }
+    }
+
+    fn scratch(&self) -> std::sync::MutexGuard<'_, Scratch> {
+        self.scratch.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn buffers(&self) -> Buffers {
+        self.pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    }
+
+    /// What to draw of a view or, without one, of a camera.
+    fn layout(&self, camera: &ViewCamera, view: Option<&CpuView>, free_pixels: bool) -> Result<Arc<Layout>> {
+        let (width, height) = (camera.pinhole.width, camera.pinhole.height);
+        if let Some(view) = view {
+            let layout = if free_pixels { &view.with_free } else { &view.active };
+            if (layout.width, layout.height) != (width, height) {
+                return Err(BackendError::Device(format!(
+                    "a camera of {width} x {height} pixels cannot draw a view of {} x {}",
+                    layout.width, layout.height
+                )));
+            }
+            return Ok(Arc::clone(layout));
+        }
+        let whole = &mut self.scratch().whole;
+        match whole {
+            Some(layout) if (layout.width, layout.height) == (width, height) => Ok(Arc::clone(layout)),
+            _ => Ok(Arc::clone(whole.insert(Arc::new(Layout::new(width, height, |_, _| true))))),
+        }
+    }
+
+    /// Mean smallest scale of the visible Gaussians in scene scales, and its gradient per Gaussian and scene unit.
+    fn flatness(&self, cloud: &CpuCloud, render: &CpuRender, scene_scale: f32) -> (f64, f64) {
+        let visible = render.gaussians_with(&render.buffers.blocks);
+        if visible.is_empty() {
+            return (0.0, 0.0);
+        }
+        let sums: Vec<f64> = visible
+            .par_chunks(1024)
+            .map(|chunk| {
+                let smallest = |&gaussian: &u32| {
+                    let (group, lane) = (gaussian as usize / LANES, gaussian as usize % LANES);
+                    let log = |axis| cloud.values[group * cloud.planes + plane::LOG_SCALE + axis].0[lane];
+                    libm::exp(f64::from(log(0).min(log(1)).min(log(2))))
+                };
+                chunk.iter().map(smallest).sum::<f64>()
+            })
+            .collect();
+        let share = 1.0 / (visible.len() as f64 * f64::from(scene_scale));
+        (sums.into_iter().sum::<f64>() * share, share)
+    }
+
+    fn back(&self, cloud: &mut CpuCloud, render: &CpuRender, averaged_pixels: usize, accumulate: bool) {
+        let scratch = &mut *self.scratch();
+        render.unblend(self.level, &mut scratch.sums, &mut scratch.plain);
+        self.phase("backward");
+        let sums = Sums {
+            bins: &render.buffers.bins,
+            blocks: &render.buffers.blocks,
+            pairs: &scratch.sums,
+            plain: &scratch.plain,
+        };
+        let back = Return {
+            camera: &render.camera,
+            sh_degree: render.options.sh_degree,
+            planes: render.options.planes,
+            accumulate,
+            d_smallest_scale: if accumulate { 0.0 } else { render.d_smallest_scale },
+            averaged_pixels: render.options.statistics.then_some(averaged_pixels as f32),
+        };
+        gradients(self.level, cloud, &sums, &back);
+        self.phase("gradient");
+    }
+}
+
+impl Backend for Cpu {
+    type Cloud = CpuCloud;
+    type View = CpuView;
+    type Render = CpuRender;
+
+    fn upload(&self, state: &OptimizerState) -> Result<CpuCloud> {
+        Ok(CpuCloud::new(state))
+    }
+
+    fn download(&self, cloud: &CpuCloud) -> Result<OptimizerState> {
+        Ok(cloud.state())
+    }
+
+    fn prepare(&self, view: &TrainingView) -> Result<CpuView> {
+        let losses = LossView::new(view);
+        let (width, height) = (view.camera.pinhole.width, view.camera.pinhole.height);
+        if (losses.width, losses.height) != (width as usize, height as usize) {
+            return Err(BackendError::Device(format!(
+                "an image of {} x {} pixels does not belong to a camera of {width} x {height}",
+                losses.width, losses.height
+            )));
+        }
+        let class = |x: u32, y: u32| losses.classes[y as usize * width as usize + x as usize];
+        let active = Arc::new(Layout::new(width, height, |x, y| class(x, y).is_active()));
+        let with_free = if losses.free_count == 0 {
+            Arc::clone(&active)
+        } else {
+            Arc::new(Layout::new(width, height, |x, y| class(x, y) != PixelClass::Occluded))
+        };
+        Ok(CpuView { losses, active, with_free })
+    }
+
+    fn render(
+        &self,
+        cloud: &CpuCloud,
+        camera: &ViewCamera,
+        mask: Option<&CpuView>,
+        options: &RenderOptions,
+    ) -> Result<CpuRender> {
+        let options = RenderOptions { sh_degree: options.sh_degree.min(cloud.sh_degree), ..*options };
+        let layout = self.layout(camera, mask, options.free_pixels)?;
+        let mut buffers = self.buffers();
+        let projection = Projection {
+            camera,
+            layout: &layout,
+            sh_degree: options.sh_degree,
+            planes: options.planes,
+            cut: self.cuts.alpha_log2,
+        };
+        project(self.level, cloud, &projection, &mut buffers.records, &mut buffers.found, &mut buffers.bins);
+        self.phase("project");
+        buffers.bins.fill(layout.tiles.len());
+        self.phase("bin");
+        buffers.upstream.clear();
+        buffers.load_gradient.clear();
+        let pool = Arc::clone(&self.pool);
+        let (camera, cuts) = (*camera, self.cuts);
+        let mut render = CpuRender { options, camera, layout, cuts, buffers, d_smallest_scale: 0.0, pool };
+        render.blend(self.level);
+        if options.observe {
+            for gaussian in render.gaussians_with(&render.buffers.seen) {
+                cloud.observed[gaussian as usize].fetch_add(1, Relaxed);
+            }
+        }
+        self.phase("forward");
+        Ok(render)
+    }
+
+    fn read(&self, render: &CpuRender) -> Result<PlaneMaps> {
+        let mut rows = Rows::default();
+        rows.fill(render);
+        let (width, height) = (render.layout.width, render.layout.height);
+        let lens = Lens::<f32>::new(&render.camera);
+        let depth = rows.distance.par_iter().enumerate().map(|(pixel, &distance)| {
+            let ray = lens.ray((pixel % width as usize) as f32, (pixel / width as usize) as f32);
+            planes::depth(distance, rows.normal[pixel], ray)
+        });
+        Ok(PlaneMaps {
+            depth: map(width, height, depth.collect()),
+            color: map(width, height, rows.color),
+            normal: map(width, height, rows.normal),
+            distance: map(width, height, rows.distance),
+            opacity: map(width, height, rows.opacity),
+            load: map(width, height, rows.load),
+        })
+    }
+
+    fn losses(&self, cloud: &CpuCloud, sample: &mut Sample<'_, Self>) -> Result<LossValues> {
+        let (mut flatness, mut share) = (0.0, 0.0);
+        if sample.weights.flatness != 0.0 {
+            (flatness, share) = self.flatness(cloud, sample.render, sample.scene_scale);
+        }
+        let [rows, neighbor_rows] = &mut self.scratch().rows;
+        rows.fill(sample.render);
+        let neighbor = sample.neighbor.as_ref().map(|(view, render)| {
+            neighbor_rows.fill(render);
+            (&view.losses, neighbor_rows.maps())
+        });
+        let result = evaluate(&Inputs {
+            view: &sample.view.losses,
+            maps: rows.maps(),
+            neighbor,
+            exposure: sample.exposure,
+            weights: sample.weights,
+            flatness,
+            seed: sample.seed,
+        });
+        self.phase("losses");
+        if !result.values.total.is_finite() {
+            return Err(BackendError::NotFinite("the loss"));
+        }
+        sample.render.d_smallest_scale = (f64::from(sample.weights.flatness) * share) as f32;
+        take_gradients(sample.render, &result.reference);
+        if let Some((_, render)) = &mut sample.neighbor {
+            take_gradients(render, &result.neighbor);
+        }
+        self.phase("upstream");
+        Ok(result.values)
+    }
+
+    fn backward(&self, cloud: &mut CpuCloud, sample: &Sample<'_, Self>) -> Result<()> {
+        let neighbor = sample.neighbor.as_ref().map(|(view, render)| (*view, &**render));
+        for render in [Some(&*sample.render), neighbor.map(|(_, render)| render)].into_iter().flatten() {
+            if !render.options.gradient {
+                return Err(BackendError::Device("a render without `gradient` cannot go backward".into()));
+            }
+        }
+        let averaged = |view: &CpuView| view.losses.mean_count(sample.weights.mean_over_mask);
+        self.back(cloud, sample.render, averaged(sample.view), false);
+        if let Some((view, render)) = neighbor.filter(|(_, render)| !render.buffers.upstream.is_empty()) {
+            self.back(cloud, render, averaged(view), true);
+        }
+        Ok(())
+    }
+
+    fn gradients(&self, cloud: &CpuCloud) -> Result<SplatCloud> {
+        Ok(cloud.gradient_cloud())
+    }
+
+    fn adam(&self, cloud: &mut CpuCloud, rates: &Rates, step: u32) -> Result<()> {
+        adam::step(self.level, cloud, rates, step)?;
+        self.phase("adam");
+        Ok(())
+    }
+
+    fn statistics(&self, cloud: &mut CpuCloud, reset: bool) -> Result<DensityStatistics> {
+        let statistics = cloud.statistics_now();
+        if reset {
+            cloud.reset_statistics();
+        }
+        Ok(statistics)
+    }
+
+    fn reshape(&self, cloud: &mut CpuCloud, plan: &DensityPlan) -> Result<()> {
+        cloud.reshape(plan);
+        Ok(())
+    }
+}
+
+/// A map of the camera's size, or 0 x 0 where there are no values.
+fn map<T>(width: u32, height: u32, values: Vec<T>) -> Map<T> {
+    if values.is_empty() { Map { width: 0, height: 0, values } } else { Map { width, height, values } }
+}
+
+#[cfg(test)]
+mod tests;

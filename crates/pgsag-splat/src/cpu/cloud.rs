@@ -1,0 +1,215 @@
+//! The cloud on this device: parameters, gradients and Adam moments in groups of 16 Gaussians.
+//!
+//! A group is one line (16 lanes) per parameter, the parameters one after another: means 3, log scales 3,
+//! quaternion 4, logit 1, then harmonics, basis-major, R G B. A group is contiguous, so that sweeps over everything
+//! stream, and vectors of Gaussians load without shuffles. The last group is padded with zeros.
+
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+use crate::{
+    backend::{DensityPlan, DensityStatistics, OptimizerState},
+    cloud::SplatCloud,
+};
+
+use super::lanes::{LANES, Line};
+
+/// Places of parameters in a group.
+pub(crate) mod plane {
+    /// x y z
+    pub(crate) const MEAN: usize = 0;
+    /// Three.
+    pub(crate) const LOG_SCALE: usize = 3;
+    /// w x y z
+    pub(crate) const ROTATION: usize = 6;
+    /// One.
+    pub(crate) const OPACITY: usize = 10;
+    /// 3 K
+    pub(crate) const HARMONICS: usize = 11;
+}
+
+/// Parameters, gradients, moments and statistics of a cloud, for [`super::Cpu`].
+#[derive(Debug)]
+pub struct CpuCloud {
+    pub(crate) origin_world: [f64; 3],
+    pub(crate) sh_degree: u8,
+    pub(crate) count: usize,
+    /// Lines per group.
+    pub(crate) planes: usize,
+    pub(crate) values: Vec<Line>,
+    pub(crate) gradients: Vec<Line>,
+    pub(crate) first: Vec<Line>,
+    pub(crate) second: Vec<Line>,
+    /// Per group, whether `gradients` holds anything; else they are 0, whatever is there.
+    pub(crate) touched: Vec<bool>,
+    /// Gradients of planes from here on are 0, whatever is there.
+    pub(crate) gradient_planes: usize,
+    /// Moments of planes from here on are 0.
+    pub(crate) moment_planes: usize,
+    /// All but `observed_count`, which is empty here.
+    pub(crate) statistics: DensityStatistics,
+    /// `observed_count`: rendering counts it, and only borrows the cloud. One thread adds to one Gaussian once.
+    pub(crate) observed: Vec<AtomicU32>,
+}
+
+impl CpuCloud {
+    /// Of a state; moments and statistics that are missing are 0.
+    pub(crate) fn new(state: &OptimizerState) -> Self {
+        let cloud = &state.cloud;
+        let planes = plane::HARMONICS + 3 * cloud.basis_count();
+        let lines = cloud.len().div_ceil(LANES) * planes;
+        let (first, second) = (to_lines(&state.first, planes, lines), to_lines(&state.second, planes, lines));
+        let moment_planes = if state.first.is_empty() { plane::HARMONICS + 3 } else { planes };
+        let mut statistics = state.statistics.clone();
+        resize(&mut statistics, cloud.len());
+        let observed = std::mem::take(&mut statistics.observed_count).into_iter().map(AtomicU32::new).collect();
+        Self {
+            origin_world: cloud.origin_world,
+            sh_degree: cloud.sh_degree,
+            count: cloud.len(),
+            planes,
+            values: to_lines(cloud, planes, lines),
+            gradients: vec![Line::ZERO; lines],
+            first,
+            second,
+            touched: vec![false; cloud.len().div_ceil(LANES)],
+            gradient_planes: plane::HARMONICS + 3,
+            moment_planes,
+            statistics,
+            observed,
+        }
+    }
+
+    /// Reads everything back.
+    pub(crate) fn state(&self) -> OptimizerState {
+        OptimizerState {
+            cloud: self.to_cloud(&self.values, |_, _| true),
+            first: self.to_cloud(&self.first, |_, _| true),
+            second: self.to_cloud(&self.second, |_, _| true),
+            statistics: self.statistics_now(),
+        }
+    }
+
+    /// The statistics, `observed_count` included.
+    pub(crate) fn statistics_now(&self) -> DensityStatistics {
+        let observed_count = self.observed.iter().map(|count| count.load(Relaxed)).collect();
+        DensityStatistics { observed_count, ..self.statistics.clone() }
+    }
+
+    /// Begins the statistics anew.
+    pub(crate) fn reset_statistics(&mut self) {
+        self.statistics = DensityStatistics::default();
+        resize(&mut self.statistics, self.count);
+        self.statistics.observed_count = Vec::new();
+        self.observed = (0..self.count).map(|_| AtomicU32::new(0)).collect();
+    }
+
+    /// Reads the gradients back.
+    pub(crate) fn gradient_cloud(&self) -> SplatCloud {
+        self.to_cloud(&self.gradients, |group, plane| self.touched[group] && plane < self.gradient_planes)
+    }
+
+    fn to_cloud(&self, lines: &[Line], holds: impl Fn(usize, usize) -> bool) -> SplatCloud {
+        let at = |i: usize, plane: usize| {
+            let group = i / LANES;
+            if holds(group, plane) { lines[group * self.planes + plane].0[i % LANES] } else { 0.0 }
+        };
+        let rows = 0..self.count;
+        SplatCloud {
+            origin_world: self.origin_world,
+            sh_degree: self.sh_degree,
+            means: rows.clone().map(|i| std::array::from_fn(|k| at(i, plane::MEAN + k))).collect(),
+            log_scales: rows.clone().map(|i| std::array::from_fn(|k| at(i, plane::LOG_SCALE + k))).collect(),
+            rotations: rows.clone().map(|i| std::array::from_fn(|k| at(i, plane::ROTATION + k))).collect(),
+            opacity_logits: rows.clone().map(|i| at(i, plane::OPACITY)).collect(),
+            harmonics: rows.flat_map(|i| (plane::HARMONICS..self.planes).map(move |p| (i, p))).map(|(i, p)| at(i, p)).collect(),
+        }
+    }
+
+    /// Clone, split, prune. The moments of births are 0; statistics begin anew.
+    pub(crate) fn reshape(&mut self, plan: &DensityPlan) {
+        let count = plan.keep.len() + plan.births.len();
+        let parents: Vec<u32> = plan.keep.iter().copied().chain(plan.births.iter().map(|birth| birth.parent)).collect();
+        self.values = self.gathered(&self.values, &parents);
+        self.first = self.gathered(&self.first, &plan.keep);
+        self.second = self.gathered(&self.second, &plan.keep);
+        let groups = count.div_ceil(LANES);
+        self.first.resize(groups * self.planes, Line::ZERO);
+        self.second.resize(groups * self.planes, Line::ZERO);
+        self.gradients = vec![Line::ZERO; groups * self.planes];
+        self.touched = vec![false; groups];
+        self.count = count;
+        for (i, birth) in plan.births.iter().enumerate() {
+            let (group, lane) = ((plan.keep.len() + i) / LANES, (plan.keep.len() + i) % LANES);
+            let lines = &mut self.values[group * self.planes..(group + 1) * self.planes];
+            for axis in 0..3 {
+                lines[plane::MEAN + axis].0[lane] += birth.offset[axis];
+                lines[plane::LOG_SCALE + axis].0[lane] += birth.log_scale_shift;
+            }
+            if let Some(logit) = birth.opacity_logit {
+                lines[plane::OPACITY].0[lane] = logit;
+            }
+        }
+        if let Some(ceiling) = plan.opacity_ceiling {
+            self.lower_opacities(ceiling);
+        }
+        self.reset_statistics();
+    }
+
+    fn gathered(&self, lines: &[Line], from: &[u32]) -> Vec<Line> {
+        let mut out = vec![Line::ZERO; from.len().div_ceil(LANES) * self.planes];
+        for (group, parents) in out.chunks_exact_mut(self.planes).zip(from.chunks(LANES)) {
+            for (lane, &parent) in parents.iter().enumerate() {
+                let source = &lines[parent as usize / LANES * self.planes..][..self.planes];
+                for (to, from) in group.iter_mut().zip(source) {
+                    to.0[lane] = from.0[parent as usize % LANES];
+                }
+            }
+        }
+        out
+    }
+
+    fn lower_opacities(&mut self, ceiling: f32) {
+        let ceiling = f64::from(ceiling);
+        let logit = libm::log(ceiling / (1.0 - ceiling)) as f32;
+        for group in 0..self.touched.len() {
+            let at = group * self.planes + plane::OPACITY;
+            self.first[at] = Line::ZERO;
+            self.second[at] = Line::ZERO;
+            for (lane, value) in self.values[at].0.iter_mut().enumerate() {
+                if group * LANES + lane < self.count {
+                    *value = value.min(logit);
+                }
+            }
+        }
+    }
+}
+
+/// Makes every list as long as the cloud; what is new is 0.
+fn resize(statistics: &mut DensityStatistics, count: usize) {
+    statistics.gradient.resize(count, 0.0);
+    statistics.absolute_gradient.resize(count, 0.0);
+    statistics.visible_count.resize(count, 0);
+    statistics.radius_px.resize(count, 0.0);
+    statistics.observed_count.resize(count, 0);
+}
+
+/// Lays a cloud (or nothing) out in `lines` lines.
+fn to_lines(cloud: &SplatCloud, planes: usize, lines: usize) -> Vec<Line> {
+    let mut out = vec![Line::ZERO; lines];
+    for i in 0..cloud.len() {
+        let group = &mut out[i / LANES * planes..][..planes];
+        let lane = i % LANES;
+        let mut put = |plane: usize, values: &[f32]| {
+            for (k, &value) in values.iter().enumerate() {
+                group[plane + k].0[lane] = value;
+            }
+        };
+        put(plane::MEAN, &cloud.means[i]);
+        put(plane::LOG_SCALE, &cloud.log_scales[i]);
+        put(plane::ROTATION, &cloud.rotations[i]);
+        put(plane::OPACITY, &cloud.opacity_logits[i..=i]);
+        let harmonics = planes - plane::HARMONICS;
+        put(plane::HARMONICS, &cloud.harmonics[i * harmonics..(i + 1) * harmonics]);
+    }
+    out
+}

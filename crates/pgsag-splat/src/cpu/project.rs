@@ -1,0 +1,220 @@
+//! From the cloud to records: 16 Gaussians at a time through the equations, in vector lanes.
+//!
+//! First the ellipses, and which drawn tiles each touches; colours and planes only of groups that touch any.
+
+use std::array::from_fn;
+
+use fearless_simd::Level;
+use rayon::prelude::*;
+
+use super::{
+    bins::{Bins, Entry, place, set_slopes, touched_tiles},
+    cloud::{CpuCloud, plane},
+    lanes::{LANES, Line, at_level},
+    layout::Layout,
+    wide::{Carried, Wide},
+};
+use crate::backend::ViewCamera;
+use crate::equations::{
+    Number, activation,
+    algebra::{Mat3, Vec3, mat_vec, sub},
+    covariance, harmonics,
+    plane::{distance, normal, normal_axis},
+    projection::{self, Lens},
+};
+
+/// Groups that a task takes at a time.
+pub(crate) const GROUPS: usize = 64;
+
+/// What to project, and how.
+#[derive(Clone, Copy)]
+pub(crate) struct Projection<'a> {
+    /// The camera.
+    pub(crate) camera: &'a ViewCamera,
+    /// What is drawn.
+    pub(crate) layout: &'a Layout,
+    /// Degree of harmonics in use.
+    pub(crate) sh_degree: u8,
+    /// Whether normals and distances are drawn.
+    pub(crate) planes: bool,
+    /// log2 of the alpha cut.
+    pub(crate) cut: f32,
+}
+
+/// What a task found: Gaussians that touch drawn tiles, and those tiles.
+#[derive(Debug, Default)]
+pub(crate) struct Found {
+    entries: Vec<Entry>,
+    tiles: Vec<u32>,
+}
+
+/// A group of Gaussians up to its ellipses on the screen.
+pub(crate) struct Ellipses<T> {
+    /// Unit quaternion and the stored one's norm.
+    pub(crate) quaternion: ([T; 4], T),
+    /// Columns: axes, group frame.
+    pub(crate) rotation: Mat3<T>,
+    /// Standard deviations.
+    pub(crate) scales: [T; 3],
+    /// Σ, group frame.
+    pub(crate) covariance: Mat3<T>,
+    /// Mean, camera frame.
+    pub(crate) point: Vec3<T>,
+    /// (a, b, c) on the screen.
+    pub(crate) screen_covariance: [T; 3],
+    /// Its inverse.
+    pub(crate) conic: [T; 3],
+    /// In (0, 1).
+    pub(crate) opacity: T,
+}
+
+impl<T: Number> Ellipses<T> {
+    /// Of stored parameters.
+    #[inline(always)]
+    pub(crate) fn new(lens: &Lens<T>, at: impl Fn(usize) -> T) -> Self {
+        let quaternion = activation::unit_quaternion(from_fn(|k| at(plane::ROTATION + k)));
+        let rotation = covariance::rotation(quaternion.0);
+        let scales = activation::scales(from_fn(|k| at(plane::LOG_SCALE + k)));
+        let covariance = covariance::covariance(&rotation, scales);
+        let point = projection::to_camera(lens, from_fn(|k| at(plane::MEAN + k)));
+        let screen_covariance = projection::screen_covariance(lens, point, &covariance);
+        let conic = projection::conic(screen_covariance);
+        let opacity = activation::opacity(at(plane::OPACITY));
+        Self { quaternion, rotation, scales, covariance, point, screen_covariance, conic, opacity }
+    }
+}
+
+/// The coefficients in use of a group.
+#[inline(always)]
+pub(crate) fn coefficients<T: Number>(degree: u8, at: impl Fn(usize) -> T) -> [[T; 3]; harmonics::BASIS_MAX] {
+    from_fn(|l| {
+        from_fn(|c| if l < harmonics::basis_count(degree) { at(plane::HARMONICS + 3 * l + c) } else { T::zero() })
+    })
+}
+
+/// Projects the whole cloud: writes `records` (by Gaussian; only of those that touch a drawn tile), and the lists of tiles.
+pub(crate) fn project(
+    level: Level,
+    cloud: &CpuCloud,
+    projection: &Projection<'_>,
+    records: &mut Vec<Line>,
+    found: &mut Vec<Found>,
+    bins: &mut Bins,
+) {
+    records.resize(cloud.touched.len() * LANES, Line::ZERO);
+    found.resize_with(cloud.touched.len().div_ceil(GROUPS), Found::default);
+    let tasks = records.par_chunks_mut(GROUPS * LANES).zip(cloud.values.par_chunks(GROUPS * cloud.planes)).zip(found.par_iter_mut());
+    tasks.enumerate().for_each(|(task, ((records, values), found))| {
+        found.entries.clear();
+        found.tiles.clear();
+        let mut task = Task { projection, first: task * GROUPS * LANES, count: cloud.count, planes: cloud.planes, found };
+        at_level!(level, simd => task.run(simd, records, values));
+    });
+    bins.gather(found.iter().map(|found| (&found.entries[..], &found.tiles[..])));
+}
+
+struct Task<'a> {
+    projection: &'a Projection<'a>,
+    /// Of the task's Gaussians.
+    first: usize,
+    /// Of the cloud.
+    count: usize,
+    planes: usize,
+    found: &'a mut Found,
+}
+
+impl Task<'_> {
+    #[inline(always)]
+    fn run<S: Carried>(&mut self, simd: S, records: &mut [Line], values: &[Line]) {
+        simd.carry();
+        let lens = Lens::<Wide<S>>::new(self.projection.camera);
+        for (group, (records, values)) in records.chunks_exact_mut(LANES).zip(values.chunks_exact(self.planes)).enumerate() {
+            let mut fields = [Line::ZERO; 16];
+            let mut depths = Line::ZERO;
+            for at in (0..LANES).step_by(Wide::<S>::LEN) {
+                ellipse_fields(&lens, values, at, &mut fields, &mut depths);
+            }
+            let touching = self.bin(self.first + group * LANES, &mut fields, &depths, records);
+            if touching {
+                for at in (0..LANES).step_by(Wide::<S>::LEN) {
+                    feature_fields(&lens, values, at, self.projection, &mut fields);
+                }
+                for (lane, record) in records.iter_mut().enumerate() {
+                    for k in 0..7 {
+                        record.0[place::FEATURES + k] = fields[place::FEATURES + k].0[lane];
+                    }
+                }
+            }
+        }
+    }
+
+    /// Finds the tiles of each Gaussian of a group and writes the ellipses of those that touch any; whether any does.
+    #[inline(always)]
+    fn bin(&mut self, first: usize, fields: &mut [Line; 16], depths: &Line, records: &mut [Line]) -> bool {
+        let mut touching = false;
+        for lane in 0..LANES.min(self.count - first) {
+            let depth = depths.0[lane];
+            if depth.is_nan() || f64::from(depth) <= self.projection.camera.near {
+                continue;
+            }
+            let mut record = Line::ZERO;
+            for k in 0..place::FEATURES {
+                record.0[k] = fields[k].0[lane];
+            }
+            let start = self.found.tiles.len();
+            touched_tiles(self.projection.layout, &record, self.projection.cut, &mut self.found.tiles);
+            let count = self.found.tiles.len() - start;
+            if count > 0 {
+                set_slopes(&mut record);
+                records[lane] = record;
+                let gaussian = (first + lane) as u32;
+                self.found.entries.push(Entry { gaussian, depth: depth.to_bits(), first: start as u32, count: count as u32 });
+                touching = true;
+            }
+        }
+        touching
+    }
+}
+
+/// Centre, exponent and depth of the lanes from `at` on.
+#[inline(always)]
+fn ellipse_fields<S: Carried>(lens: &Lens<Wide<S>>, values: &[Line], at: usize, fields: &mut [Line; 16], depths: &mut Line) {
+    let ellipses = Ellipses::new(lens, |p| Wide::load(&values[p], at));
+    let [u, v] = projection::screen(lens, ellipses.point);
+    let [a, b, c] = ellipses.conic;
+    let log2_e = Wide::from_f64(std::f64::consts::LOG2_E);
+    let half = Wide::from_f64(-0.5 * std::f64::consts::LOG2_E);
+    ellipses.point[2].store(depths, at);
+    for (k, value) in [u, v, a * half, -b * log2_e, c * half, ellipses.opacity.log2()].into_iter().enumerate() {
+        value.store(&mut fields[k], at);
+    }
+}
+
+/// Colours, and where asked normals and distances, of the lanes from `at` on.
+#[inline(always)]
+fn feature_fields<S: Carried>(
+    lens: &Lens<Wide<S>>,
+    values: &[Line],
+    at: usize,
+    projection: &Projection<'_>,
+    fields: &mut [Line; 16],
+) {
+    let load = |p: usize| Wide::<S>::load(&values[p], at);
+    let mean: Vec3<Wide<S>> = from_fn(|k| load(plane::MEAN + k));
+    let (direction, _) = harmonics::direction(mean, lens.eye);
+    let rgb = harmonics::color(&coefficients(projection.sh_degree, load), direction, projection.sh_degree);
+    for k in 0..3 {
+        rgb[k].store(&mut fields[place::FEATURES + k], at);
+    }
+    if projection.planes {
+        let (unit, _) = activation::unit_quaternion(from_fn(|k| load(plane::ROTATION + k)));
+        let rotation = covariance::rotation(unit);
+        let scales = activation::scales(from_fn(|k| load(plane::LOG_SCALE + k)));
+        let axis = normal_axis(&rotation, scales, sub(lens.eye, mean));
+        let facing = mat_vec(&lens.rotation, normal(&rotation, axis));
+        for k in 0..3 {
+            facing[k].store(&mut fields[place::FEATURES + 3 + k], at);
+        }
+        distance(facing, projection::to_camera(lens, mean)).store(&mut fields[place::FEATURES + 6], at);
+    }
+}
