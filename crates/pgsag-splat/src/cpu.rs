@@ -164,7 +164,7 @@ impl Cpu {
             .map(|chunk| {
                 let smallest = |&gaussian: &u32| {
                     let (group, lane) = (gaussian as usize / LANES, gaussian as usize % LANES);
-                    let log = |axis| cloud.values[group * cloud.planes + plane::LOG_SCALE + axis].0[lane];
+                    let log = |axis: usize| cloud.values[group * cloud.planes + plane::LOG_SCALE + axis].0[lane];
                     libm::exp(f64::from(log(0).min(log(1)).min(log(2))))
                 };
                 chunk.iter().map(smallest).sum::<f64>()

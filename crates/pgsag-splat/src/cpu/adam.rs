@@ -19,7 +19,11 @@ const GROUPS: usize = 64;
 pub(crate) fn step(level: Level, cloud: &mut CpuCloud, rates: &Rates, step: u32) -> Result<()> {
     let (planes, gradient_planes) = (cloud.planes, cloud.gradient_planes);
     cloud.moment_planes = cloud.moment_planes.max(gradient_planes);
-    let sweep = Sweep { rates: rates_of_planes(rates, cloud.moment_planes), corrections: adam::corrections(step), gradient_planes };
+    let sweep = Sweep {
+        rates: rates_of_planes(rates, cloud.moment_planes),
+        corrections: adam::corrections(step),
+        gradient_planes,
+    };
     let chunk = GROUPS * planes;
     let finite = cloud
         .values

@@ -110,17 +110,19 @@ impl Bins {
         self.starts.clear();
         self.starts.extend_from_slice(&self.cursors[..tile_count]);
         self.starts.push(total);
-        self.cursors.par_chunks_mut(tile_count.max(1)).zip(self.order.par_chunks(chunk)).for_each(|(cursors, order)| {
-            for &at in order {
-                let entry = &entries[at as usize];
-                for pair in pairs(entry) {
-                    let cursor = &mut cursors[tiles[pair] as usize];
-                    self.gaussians[*cursor as usize].store(entry.gaussian, Relaxed);
-                    self.places[pair].store(*cursor, Relaxed);
-                    *cursor += 1;
+        self.cursors.par_chunks_mut(tile_count.max(1)).zip(self.order.par_chunks(chunk)).for_each(
+            |(cursors, order)| {
+                for &at in order {
+                    let entry = &entries[at as usize];
+                    for pair in pairs(entry) {
+                        let cursor = &mut cursors[tiles[pair] as usize];
+                        self.gaussians[*cursor as usize].store(entry.gaussian, Relaxed);
+                        self.places[pair].store(*cursor, Relaxed);
+                        *cursor += 1;
+                    }
                 }
-            }
-        });
+            },
+        );
     }
 
     /// Places of one tile's list.

@@ -121,7 +121,10 @@ impl CpuCloud {
             log_scales: rows.clone().map(|i| std::array::from_fn(|k| at(i, plane::LOG_SCALE + k))).collect(),
             rotations: rows.clone().map(|i| std::array::from_fn(|k| at(i, plane::ROTATION + k))).collect(),
             opacity_logits: rows.clone().map(|i| at(i, plane::OPACITY)).collect(),
-            harmonics: rows.flat_map(|i| (plane::HARMONICS..self.planes).map(move |p| (i, p))).map(|(i, p)| at(i, p)).collect(),
+            harmonics: rows
+                .flat_map(|i| (plane::HARMONICS..self.planes).map(move |p| (i, p)))
+                .map(|(i, p)| at(i, p))
+                .collect(),
         }
     }
 

@@ -14,7 +14,7 @@ use super::{
         CULL_MARGIN,
         place::{FEATURES, PEAK, SLOPE_X, SLOPE_Y, X, XX, XY, Y, YY},
     },
-    lanes::{BLOCK, BLOCKS, LANE_X, LANE_Y, Line, exp2},
+    lanes::{BLOCK, BLOCKS, LANE_X, LANE_Y, LANES, Line, exp2},
     layout::block_corner,
 };
 

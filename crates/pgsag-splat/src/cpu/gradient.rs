@@ -15,7 +15,7 @@ use super::{
     project::{Ellipses, GROUPS, coefficients},
     wide::{Carried, Wide},
 };
-use crate::backend::{DensityStatistics, ViewCamera};
+use crate::backend::ViewCamera;
 use crate::equations::{
     Number, activation,
     algebra::{Mat3, Vec3, add, mat_vec, sub, transpose_vec},
@@ -126,7 +126,8 @@ impl Task<'_> {
         let lens = Lens::<Wide<S>>::new(self.back.camera);
         for (group, touched) in touched.iter_mut().enumerate() {
             let first = self.first + group * LANES;
-            let split = entries.iter().take(LANES).take_while(|entry| (entry.gaussian as usize) < first + LANES).count();
+            let split =
+                entries.iter().take(LANES).take_while(|entry| (entry.gaussian as usize) < first + LANES).count();
             let (own, rest) = entries.split_at(split);
             entries = rest;
             let lines = &mut gradients[group * self.planes..][..self.used];

@@ -89,12 +89,28 @@ macro_rules! at_level {
     ($level:expr, $simd:ident => $run:expr) => {
         match $level {
             #[cfg(target_arch = "x86_64")]
-            fearless_simd::Level::Avx512($simd) => fearless_simd::Simd::vectorize($simd, #[inline(always)] || $run),
+            fearless_simd::Level::Avx512($simd) => fearless_simd::Simd::vectorize(
+                $simd,
+                #[inline(always)]
+                || $run,
+            ),
             #[cfg(target_arch = "x86_64")]
-            fearless_simd::Level::Avx2($simd) => fearless_simd::Simd::vectorize($simd, #[inline(always)] || $run),
+            fearless_simd::Level::Avx2($simd) => fearless_simd::Simd::vectorize(
+                $simd,
+                #[inline(always)]
+                || $run,
+            ),
             #[cfg(target_arch = "aarch64")]
-            fearless_simd::Level::Neon($simd) => fearless_simd::Simd::vectorize($simd, #[inline(always)] || $run),
-            fearless_simd::Level::Fallback($simd) => fearless_simd::Simd::vectorize($simd, #[inline(always)] || $run),
+            fearless_simd::Level::Neon($simd) => fearless_simd::Simd::vectorize(
+                $simd,
+                #[inline(always)]
+                || $run,
+            ),
+            fearless_simd::Level::Fallback($simd) => fearless_simd::Simd::vectorize(
+                $simd,
+                #[inline(always)]
+                || $run,
+            ),
             _ => unreachable!("SimdLevel::detected names only the levels above"),
         }
     };

@@ -24,7 +24,9 @@ impl Rows {
     /// Reads a render.
     pub(crate) fn fill(&mut self, render: &CpuRender) {
         let features = render.features();
-        let line = |slot: usize, block: usize, plane: usize| &of_tile(&render.buffers.planes, slot, features + 1)[block * (features + 1) + plane];
+        let line = |slot: usize, block: usize, plane: usize| {
+            &of_tile(&render.buffers.planes, slot, features + 1)[block * (features + 1) + plane]
+        };
         let color = |slot, block, lane: usize| std::array::from_fn(|k| line(slot, block, k).0[lane]);
         let normal = |slot, block, lane: usize| std::array::from_fn(|k| line(slot, block, 3 + k).0[lane]);
         rows(render, true, &mut self.color, color);

@@ -103,11 +103,15 @@ pub(crate) fn project(
 ) {
     records.resize(cloud.touched.len() * LANES, Line::ZERO);
     found.resize_with(cloud.touched.len().div_ceil(GROUPS), Found::default);
-    let tasks = records.par_chunks_mut(GROUPS * LANES).zip(cloud.values.par_chunks(GROUPS * cloud.planes)).zip(found.par_iter_mut());
+    let tasks = records
+        .par_chunks_mut(GROUPS * LANES)
+        .zip(cloud.values.par_chunks(GROUPS * cloud.planes))
+        .zip(found.par_iter_mut());
     tasks.enumerate().for_each(|(task, ((records, values), found))| {
         found.entries.clear();
         found.tiles.clear();
-        let mut task = Task { projection, first: task * GROUPS * LANES, count: cloud.count, planes: cloud.planes, found };
+        let mut task =
+            Task { projection, first: task * GROUPS * LANES, count: cloud.count, planes: cloud.planes, found };
         at_level!(level, simd => task.run(simd, records, values));
     });
     bins.gather(found.iter().map(|found| (&found.entries[..], &found.tiles[..])));
@@ -128,7 +132,9 @@ impl Task<'_> {
     fn run<S: Carried>(&mut self, simd: S, records: &mut [Line], values: &[Line]) {
         simd.carry();
         let lens = Lens::<Wide<S>>::new(self.projection.camera);
-        for (group, (records, values)) in records.chunks_exact_mut(LANES).zip(values.chunks_exact(self.planes)).enumerate() {
+        for (group, (records, values)) in
+            records.chunks_exact_mut(LANES).zip(values.chunks_exact(self.planes)).enumerate()
+        {
             let mut fields = [Line::ZERO; 16];
             let mut depths = Line::ZERO;
             for at in (0..LANES).step_by(Wide::<S>::LEN) {
@@ -168,7 +174,12 @@ impl Task<'_> {
                 set_slopes(&mut record);
                 records[lane] = record;
                 let gaussian = (first + lane) as u32;
-                self.found.entries.push(Entry { gaussian, depth: depth.to_bits(), first: start as u32, count: count as u32 });
+                self.found.entries.push(Entry {
+                    gaussian,
+                    depth: depth.to_bits(),
+                    first: start as u32,
+                    count: count as u32,
+                });
                 touching = true;
             }
         }
@@ -178,7 +189,13 @@ impl Task<'_> {
 
 /// Centre, exponent and depth of the lanes from `at` on.
 #[inline(always)]
-fn ellipse_fields<S: Carried>(lens: &Lens<Wide<S>>, values: &[Line], at: usize, fields: &mut [Line; 16], depths: &mut Line) {
+fn ellipse_fields<S: Carried>(
+    lens: &Lens<Wide<S>>,
+    values: &[Line],
+    at: usize,
+    fields: &mut [Line; 16],
+    depths: &mut Line,
+) {
     let ellipses = Ellipses::new(lens, |p| Wide::load(&values[p], at));
     let [u, v] = projection::screen(lens, ellipses.point);
     let [a, b, c] = ellipses.conic;

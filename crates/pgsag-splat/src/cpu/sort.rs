@@ -30,7 +30,8 @@ impl Sorter {
         let passes = bits.div_ceil(DIGIT_BITS).max(1);
         let width = bits.div_ceil(passes).max(1);
         self.from.clear();
-        self.from.extend(keys.iter().enumerate().map(|(i, &key)| AtomicU64::new(u64::from(key - low) << 32 | i as u64)));
+        self.from
+            .extend(keys.iter().enumerate().map(|(i, &key)| AtomicU64::new(u64::from(key - low) << 32 | i as u64)));
         self.into.resize_with(keys.len(), AtomicU64::default);
         for pass in 0..passes {
             self.pass(32 + pass * width, width);

@@ -77,7 +77,8 @@ impl<S: Carried> Wide<S> {
         let bits = self.0.bitcast::<S::u32s>();
         let shifted = bits - S::u32s::splat(simd, ROOT_HALF);
         let exponent = (shifted.bitcast::<S::i32s>() >> 23).to_float::<S::f32s>();
-        let mantissa = ((shifted & S::u32s::splat(simd, 0x007f_ffff)) + S::u32s::splat(simd, ROOT_HALF)).bitcast::<S::f32s>();
+        let mantissa =
+            ((shifted & S::u32s::splat(simd, 0x007f_ffff)) + S::u32s::splat(simd, ROOT_HALF)).bitcast::<S::f32s>();
         let ratio = (mantissa - 1.0) / (mantissa + 1.0);
         let square = ratio * ratio;
         let mut series = S::f32s::splat(simd, 2.0 / 9.0);

@@ -26,7 +26,8 @@ fn tree_sums_every_vector() {
         let vectors = std::array::from_fn(|i| S::f32s::from_fn(simd, |lane| (i * 100 + lane) as f32));
         sums(simd, vectors, out);
     }
-    for (level, width) in [(SimdLevel::Avx512, 16), (SimdLevel::Avx2, 8), (SimdLevel::Neon, 4), (SimdLevel::Scalar, 4)] {
+    for (level, width) in [(SimdLevel::Avx512, 16), (SimdLevel::Avx2, 8), (SimdLevel::Neon, 4), (SimdLevel::Scalar, 4)]
+    {
         let Some(level) = level.detected() else { continue };
         let mut out = Line::ZERO;
         at_level!(level, simd => run(simd, &mut out));
