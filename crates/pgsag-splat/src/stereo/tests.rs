@@ -80,7 +80,7 @@ fn number_of_threads_does_not_matter() {
 fn nearest_seed_is_the_nearest_for_nearly_every_pixel() {
     let seeds = [[3.2, 4.1, 1.0], [80.0, 10.0, 1.0], [40.0, 60.0, 1.0], [44.0, 60.0, 1.0], [500.0, 1.0, 1.0]];
     let found = nearest_seed(SIZE.0, SIZE.1, &seeds).expect("seeds");
-    let reach = |n: usize, x: u32, y: u32| (seeds[n][0] - x as f32 - 0.5).hypot(seeds[n][1] - y as f32 - 0.5);
+    let reach = |n: usize, x: u32, y: u32| libm::hypotf(seeds[n][0] - x as f32 - 0.5, seeds[n][1] - y as f32 - 0.5);
     let wrong = (0..SIZE.0 * SIZE.1).filter(|index| {
         let (x, y) = (index % SIZE.0, index / SIZE.0);
         let best = (0..4).map(|n| reach(n, x, y)).fold(f32::INFINITY, f32::min);
