@@ -5,9 +5,11 @@
 //! checkerboard and are refined at random (Bleyer et al. 2011; Galliani et al. 2015), judged by bilaterally weighted NCC
 //! over the best neighbours. Deterministic for any number of threads: every half-step reads only the other colour.
 
+mod check;
 mod cost;
 mod points;
 
+pub use check::{CheckOptions, confirmed};
 pub use points::{PointOptions, SurfacePoint, lift, thin_points};
 
 use pgsag_scene::numbers::SplitMix64;

@@ -102,3 +102,26 @@ fn thinning_keeps_the_best_of_a_cell_and_both_sides_of_a_wall() {
         thin_points([point(0.2, 1.0, 0.3), point(0.4, 1.0, 0.1), point(0.6, -1.0, 0.2), point(5.0, 1.0, 0.9)], 1.0);
     assert_eq!(kept.iter().map(|p| p.cost).collect::<Vec<_>>(), [0.2, 0.1, 0.9]);
 }
+
+#[test]
+fn confirmed_depth_is_better_than_raw_and_refuses_a_liar() {
+    let views = [DVec3::ZERO, DVec3::new(1.2, 0.1, 0.0), DVec3::new(-1.1, 0.6, 0.2)].map(|at| photograph(at, 1.0));
+    let exact = |view: &StereoView| {
+        let world_from_camera = view.camera_from_world.inverse();
+        let normal = DVec3::from_array(NORMAL).normalize();
+        let center = view.camera_from_world.origin_of_a();
+        let mut depth = Map::filled(SIZE.0, SIZE.1, 0.0);
+        for (x, y) in (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (x, y))) {
+            let direction = world_from_camera.rotation * view.camera.ray(f64::from(x) + 0.5, f64::from(y) + 0.5);
+            depth.set(x, y, ((-DISTANCE - normal.dot(center)) / normal.dot(direction)) as f32);
+        }
+        StereoDepth { normal: Map::filled(SIZE.0, SIZE.1, [0.0; 3]), cost: depth.clone(), depth }
+    };
+    let mut found = views.each_ref().map(exact);
+    found[0].depth.set(50, 40, found[0].depth.at(50, 40) * 1.1);
+    let neighbors = [(&views[1], &found[1]), (&views[2], &found[2])];
+    let kept = confirmed((&views[0], &found[0]), &neighbors, &CheckOptions::default());
+    assert_eq!(kept.at(50, 40), 0.0);
+    assert!((f64::from(kept.at(48, 40)) / true_depth(&views[0], 48, 40) - 1.0).abs() < 0.01);
+    assert_eq!(confirmed((&views[0], &found[0]), &neighbors[..1], &CheckOptions::default()).at(48, 40), 0.0);
+}
