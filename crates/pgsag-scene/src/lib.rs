@@ -6,6 +6,7 @@
 //! No function here but those of `files` touches bytes, and none knows a path of a run.
 
 pub mod camera;
+pub mod error;
 pub mod files;
 pub mod frame;
 pub mod image;
@@ -19,6 +20,7 @@ pub mod scene;
 pub mod synthetic;
 
 pub use camera::Pinhole;
+pub use error::FileError;
 pub use frame::Frame;
 pub use image::Image;
 pub use maps::Map;

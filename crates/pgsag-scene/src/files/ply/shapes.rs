@@ -1,0 +1,137 @@
+//! Columns of a PLY file as meshes, clouds and tables.
+
+use super::{Cloud, Column, Element, FloatTable, Ply, element_error};
+use crate::error::FileError;
+use crate::mesh::Mesh;
+
+impl Element {
+    fn column(&self, name: &str) -> Option<&Column> {
+        self.properties.iter().find(|property| property.name == name).map(|property| &property.column)
+    }
+
+    fn integers(&self, names: &[&str]) -> Option<&[i64]> {
+        names.iter().find_map(|name| match self.column(name) {
+            Some(Column::Int(values)) => Some(values.as_slice()),
+            _ => None,
+        })
+    }
+}
+
+fn number(column: &Column, row: usize) -> Option<f64> {
+    match column {
+        Column::F32(values) => Some(f64::from(values[row])),
+        Column::F64(values) => Some(values[row]),
+        Column::Int(values) => Some(values[row] as f64),
+        Column::IntList { .. } | Column::FloatList { .. } => None,
+    }
+}
+
+fn vertices<'a>(file: &str, ply: &'a Ply) -> Result<&'a Element, FileError> {
+    ply.element("vertex").ok_or_else(|| element_error(file, "vertex", "the file has no vertices"))
+}
+
+fn positions(file: &str, element: &Element) -> Result<Vec<[f64; 3]>, FileError> {
+    let [x, y, z] = ["x", "y", "z"].map(|name| element.column(name));
+    let (Some(x), Some(y), Some(z)) = (x, y, z) else {
+        return Err(element_error(file, "vertex", "x, y or z is missing"));
+    };
+    let mut positions = Vec::with_capacity(element.count);
+    for row in 0..element.count {
+        let at = [number(x, row), number(y, row), number(z, row)].map(|value| value.unwrap_or(f64::NAN));
+        if !at.iter().all(|value| value.is_finite()) {
+            return Err(element_error(file, "vertex", format!("vertex {row} lies at {at:?}, which is no place")));
+        }
+        positions.push(at);
+    }
+    Ok(positions)
+}
+
+/// RGB from bytes, or from floats in 0..1; empty where there is none.
+fn colors(element: &Element) -> Vec<[u8; 3]> {
+    let channel = |names: [&str; 3]| names.iter().find_map(|name| element.column(name));
+    let red = channel(["red", "r", "diffuse_red"]);
+    let green = channel(["green", "g", "diffuse_green"]);
+    let blue = channel(["blue", "b", "diffuse_blue"]);
+    let (Some(red), Some(green), Some(blue)) = (red, green, blue) else {
+        return Vec::new();
+    };
+    let byte = |column: &Column, row: usize| match column {
+        Column::Int(values) => values[row].clamp(0, 255) as u8,
+        _ => (number(column, row).unwrap_or(0.0) * 255.0).round().clamp(0.0, 255.0) as u8,
+    };
+    (0..element.count).map(|row| [byte(red, row), byte(green, row), byte(blue, row)]).collect()
+}
+
+/// Whole numbers that fit 32 bits without sign.
+fn unsigned(values: &[i64]) -> Option<Vec<u32>> {
+    values.iter().map(|&value| u32::try_from(value).ok()).collect()
+}
+
+pub(super) fn mesh(file: &str, ply: &Ply) -> Result<Mesh, FileError> {
+    let vertex = vertices(file, ply)?;
+    let mut mesh = Mesh { vertices: positions(file, vertex)?, colors: colors(vertex), ..Mesh::default() };
+    let Some(face) = ply.element("face") else {
+        return Err(element_error(file, "face", "the file has no faces; it is a cloud of points"));
+    };
+    let indices = ["vertex_indices", "vertex_index"].iter().find_map(|name| face.column(name));
+    let Some(Column::IntList { ends, values }) = indices else {
+        return Err(element_error(file, "face", "the list vertex_indices is missing"));
+    };
+    let number = |name: &str| match face.integers(&[name]) {
+        None => Ok(None),
+        Some(values) => {
+            let what = || element_error(file, "face", format!("a {name} number is negative or too large"));
+            unsigned(values).map(Some).ok_or_else(what)
+        }
+    };
+    let (buildings, groups) = (number("building")?, number("group")?);
+    let mut start = 0;
+    for (row, &end) in ends.iter().enumerate() {
+        let polygon = &values[start..end];
+        start = end;
+        let lost = polygon.iter().find(|&&index| index < 0 || index as usize >= mesh.vertices.len());
+        if let Some(index) = lost {
+            return Err(element_error(file, "face", format!("face {row} leads to vertex {index}, which is not there")));
+        }
+        for pair in polygon.get(1..).unwrap_or_default().windows(2) {
+            mesh.faces.push([polygon[0] as u32, pair[0] as u32, pair[1] as u32]);
+            mesh.buildings.extend(buildings.as_ref().map(|numbers| numbers[row]));
+            mesh.groups.extend(groups.as_ref().map(|numbers| numbers[row]));
+        }
+    }
+    Ok(mesh)
+}
+
+pub(super) fn cloud(file: &str, ply: &Ply) -> Result<Cloud, FileError> {
+    const COLORS: [&str; 6] = ["red", "green", "blue", "r", "g", "b"];
+    let vertex = vertices(file, ply)?;
+    let mut cloud = Cloud { positions: positions(file, vertex)?, colors: colors(vertex), attributes: Vec::new() };
+    for property in vertex.properties.iter().filter(|property| !COLORS.contains(&property.name.as_str())) {
+        let known = ["x", "y", "z"].contains(&property.name.as_str());
+        if let (false, Column::Int(values)) = (known, &property.column)
+            && let Some(values) = unsigned(values)
+        {
+            cloud.attributes.push((property.name.clone(), values));
+        }
+    }
+    Ok(cloud)
+}
+
+pub(super) fn floats(file: &str, mut ply: Ply) -> Result<FloatTable, FileError> {
+    let index = ply.elements.iter().position(|element| element.name == "vertex");
+    let index = index.ok_or_else(|| element_error(file, "vertex", "the file has no vertices"))?;
+    let vertex = ply.elements.swap_remove(index);
+    let (mut names, mut columns) = (Vec::new(), Vec::new());
+    for property in vertex.properties {
+        let Column::F32(values) = property.column else {
+            return Err(element_error(file, "vertex", format!("property {} is not float", property.name)));
+        };
+        names.push(property.name);
+        columns.push(values);
+    }
+    let mut values = Vec::with_capacity(vertex.count * names.len());
+    for row in 0..vertex.count {
+        values.extend(columns.iter().map(|column| column[row]));
+    }
+    Ok(FloatTable { names, values, comments: ply.comments })
+}
