@@ -8,6 +8,7 @@ pub mod error;
 pub mod fuse;
 pub mod marching;
 pub mod merge;
+pub mod score;
 pub mod tsdf;
 
 pub use error::MeshError;

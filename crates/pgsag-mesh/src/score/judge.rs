@@ -1,0 +1,185 @@
+//! Our own protocol: every sample against the true surface, every true point against the mesh's surface.
+
+use glam::DVec3;
+use pgsag_scene::Mesh;
+use rayon::prelude::*;
+
+use super::crop::in_polygon;
+use super::edges::Edges;
+use super::options::{ScoreOptions, Truth};
+use super::sample::Sampler;
+use super::stats::{Judged, Part, Verdict};
+use super::surface::{Cloud, Hit, Surface, Target, Walk};
+use crate::error::MeshError;
+
+/// Faces or points judged together.
+const CHUNK: usize = 2048;
+/// A true face is a facade where its normal is within 20 degrees of the horizontal.
+const FACADE_MAX_UP: f64 = 0.342;
+
+/// The truth, ready to be asked.
+pub(crate) enum Known<'a> {
+    Surface { mesh: &'a Mesh, surface: Surface, edges: Edges },
+    Cloud(Cloud),
+}
+
+impl<'a> Known<'a> {
+    pub(crate) fn new(truth: &Truth<'a>) -> Result<Self, MeshError> {
+        match truth {
+            Truth::Mesh(mesh) | Truth::Folder { scene: mesh, .. } => {
+                Ok(Self::Surface { mesh, surface: Surface::new(mesh, "the truth")?, edges: Edges::new(mesh) })
+            }
+            Truth::Cloud(points) => Ok(Self::Cloud(Cloud::new(points.to_vec(), "the truth")?)),
+        }
+    }
+
+    pub(crate) fn target(&self) -> &dyn Target {
+        match self {
+            Self::Surface { surface, .. } => surface,
+            Self::Cloud(cloud) => cloud,
+        }
+    }
+
+    pub(crate) fn has_surface(&self) -> bool {
+        matches!(self, Self::Surface { .. })
+    }
+
+    /// Building of what was hit; 0 where the truth knows none.
+    pub(crate) fn building(&self, hit: &Hit) -> u32 {
+        match self {
+            Self::Surface { mesh, .. } => mesh.buildings.get(hit.index as usize).copied().unwrap_or(0),
+            Self::Cloud(_) => 0,
+        }
+    }
+
+    /// What part of the truth was hit.
+    fn part(&self, hit: &Hit, options: &ScoreOptions) -> Part {
+        let Self::Surface { surface, edges, .. } = self else { return Part::Whole };
+        if edges.within(hit.place, options.edge_band_m / options.metres_per_unit) {
+            return Part::Edge;
+        }
+        let up = DVec3::from(options.up).normalize_or(DVec3::Z);
+        if surface.normal(hit.index).dot(up).abs() < FACADE_MAX_UP { Part::Facade } else { Part::Roof }
+    }
+}
+
+/// Judges both directions; also how many samples were left out.
+pub(crate) fn verdict(
+    mesh: &Mesh,
+    truth: &Truth<'_>,
+    known: &Known<'_>,
+    spacing: f64,
+    options: &ScoreOptions,
+) -> Result<(Verdict, u64), MeshError> {
+    let only_buildings = matches!(truth, Truth::Folder { .. });
+    let (accuracy, left_out) = accuracy(mesh, known, spacing, only_buildings, options)?;
+    let (points, buildings) = truth_points(truth, spacing, options)?;
+    let completeness = completeness(mesh, known, &points, &buildings, options);
+    Ok((Verdict { accuracy, completeness, signed: [known.has_surface(), true] }, left_out))
+}
+
+fn judged(hit: &Hit, building: u32, part: Part, options: &ScoreOptions) -> Judged {
+    let distance = hit.distance * options.metres_per_unit;
+    Judged { distance_m: if hit.behind { -distance } else { distance } as f32, building, part }
+}
+
+fn inside(point: DVec3, options: &ScoreOptions) -> bool {
+    options.crop.as_ref().is_none_or(|polygon| in_polygon(polygon, point.x, point.y))
+}
+
+fn accuracy(
+    mesh: &Mesh,
+    known: &Known<'_>,
+    spacing: f64,
+    only_buildings: bool,
+    options: &ScoreOptions,
+) -> Result<(Vec<Judged>, u64), MeshError> {
+    let sampler = Sampler::new(mesh, spacing, options.seed)?;
+    let chunks = mesh.faces.len().div_ceil(CHUNK);
+    let parts: Vec<(Vec<Judged>, u64)> = (0..chunks)
+        .into_par_iter()
+        .map(|chunk| {
+            let mut walk = Walk::default();
+            let (mut kept, mut left_out) = (Vec::new(), 0);
+            for face in chunk * CHUNK..mesh.faces.len().min((chunk + 1) * CHUNK) {
+                for point in sampler.of_face(face).filter(|point| inside(*point, options)) {
+                    let Some(hit) = walk.nearest(known.target(), point) else { continue };
+                    let building = known.building(&hit);
+                    if only_buildings && building == 0 {
+                        left_out += 1;
+                        continue;
+                    }
+                    kept.push(judged(&hit, building, known.part(&hit, options), options));
+                }
+            }
+            (kept, left_out)
+        })
+        .collect();
+    let left_out = parts.iter().map(|part| part.1).sum();
+    let mut all = Vec::with_capacity(parts.iter().map(|part| part.0.len()).sum());
+    parts.into_iter().for_each(|part| all.extend(part.0));
+    Ok((all, left_out))
+}
+
+/// Where recall is judged, with buildings (empty where unknown).
+pub(crate) fn truth_points(
+    truth: &Truth<'_>,
+    spacing: f64,
+    options: &ScoreOptions,
+) -> Result<(Vec<[f64; 3]>, Vec<u32>), MeshError> {
+    let (points, buildings) = match truth {
+        Truth::Cloud(points) => (points.to_vec(), Vec::new()),
+        Truth::Folder { visible, building, .. } => (visible.to_vec(), building.to_vec()),
+        Truth::Mesh(mesh) => {
+            let sampler = Sampler::new(mesh, spacing, options.seed ^ 0x7E57)?;
+            let mut points = Vec::with_capacity(sampler.total() as usize);
+            let mut buildings = Vec::new();
+            for face in 0..mesh.faces.len() {
+                points.extend(sampler.of_face(face).map(<[f64; 3]>::from));
+                if let Some(building) = mesh.buildings.get(face) {
+                    buildings.resize(points.len(), *building);
+                }
+            }
+            (points, buildings)
+        }
+    };
+    let keep: Vec<bool> = points.iter().map(|p| inside(DVec3::from(*p), options)).collect();
+    let mut at = keep.iter();
+    let buildings = buildings.into_iter().filter(|_| at.next().is_some_and(|k| *k)).collect();
+    let mut at = keep.iter();
+    Ok((points.into_iter().filter(|_| at.next().is_some_and(|k| *k)).collect(), buildings))
+}
+
+fn completeness(
+    mesh: &Mesh,
+    known: &Known<'_>,
+    points: &[[f64; 3]],
+    buildings: &[u32],
+    options: &ScoreOptions,
+) -> Vec<Judged> {
+    // A mesh without surface misses every point, however far the threshold.
+    let surface = Surface::new(mesh, "the mesh").ok();
+    let parts: Vec<Vec<Judged>> = points
+        .par_chunks(CHUNK)
+        .enumerate()
+        .map(|(chunk, part)| {
+            let (mut to_mesh, mut to_truth) = (Walk::default(), Walk::default());
+            part.iter()
+                .enumerate()
+                .map(|(at, point)| {
+                    let point = DVec3::from(*point);
+                    let building = buildings.get(chunk * CHUNK + at).copied().unwrap_or(0);
+                    let part = if known.has_surface() {
+                        to_truth.nearest(known.target(), point).map_or(Part::Whole, |hit| known.part(&hit, options))
+                    } else {
+                        Part::Whole
+                    };
+                    let hit = surface.as_ref().and_then(|surface| to_mesh.nearest(surface, point));
+                    let nowhere = Judged { distance_m: f32::INFINITY, building, part };
+                    hit.map_or(nowhere, |hit| judged(&hit, building, part, options))
+                })
+                .collect()
+        })
+        .collect();
+    parts.concat()
+}
