@@ -45,13 +45,16 @@ pub(crate) fn loss_view(width: u32, height: u32, seed: u64, masked: bool) -> Los
     LossView::new(&training_view(width, height, seed, masked))
 }
 
-/// A neighbour of [`loss_view`]: turned and moved to the side, looking at what lies about z = 4.
-pub(crate) fn turned(width: u32, height: u32, seed: u64, masked: bool) -> LossView {
-    let mut view = training_view(width, height, seed, masked);
+/// A neighbour of [`camera`]: turned and moved to the side, looking at what lies about z = 4.
+pub(crate) fn turned_camera(width: u32, height: u32) -> ViewCamera {
     let (sin, cos) = (libm::sin(0.15), libm::cos(0.15));
-    view.camera.rotation = [[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]];
-    view.camera.translation = [-0.55, 0.07, 0.04];
-    LossView::new(&view)
+    let rotation = [[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]];
+    ViewCamera { rotation, translation: [-0.55, 0.07, 0.04], ..camera(width, height) }
+}
+
+/// What it sees, prepared.
+pub(crate) fn turned(width: u32, height: u32, seed: u64, masked: bool) -> LossView {
+    LossView::new(&TrainingView { camera: turned_camera(width, height), ..training_view(width, height, seed, masked) })
 }
 
 /// No term at all.

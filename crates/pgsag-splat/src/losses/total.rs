@@ -77,6 +77,8 @@ pub struct Inputs<'a, T> {
 pub struct Evaluation<T> {
     /// Every term, unweighted; the weighted sum; the gradient of the exposure.
     pub values: LossValues,
+    /// The weighted sum, unrounded.
+    pub total: f64,
     /// For the reference render.
     pub reference: MapGradients<T>,
     /// For the neighbour's render.
@@ -99,7 +101,8 @@ pub fn evaluate<T: Scalar>(inputs: &Inputs<'_, T>) -> Evaluation<T> {
         out.values.free_opacity = value as f32;
         main += weight * value;
     }
-    out.values.total = (main + add_load(inputs, main, &mut out)) as f32;
+    out.total = main + add_load(inputs, main, &mut out);
+    out.values.total = out.total as f32;
     out
 }
 
