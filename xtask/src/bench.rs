@@ -1,6 +1,6 @@
 //! `cargo x bench`: the CPU backend's iteration, appended to `benchmarks/results.json` with commit and machine.
 //!
-//! The example prints one JSON object per line for each case; other lines are for the person who watches.
+//! The example prints one line per case, as an object of JSON or in words; either is kept as it stands.
 
 use std::path::Path;
 
@@ -15,10 +15,9 @@ pub(crate) fn run(root: &Path) -> Result<()> {
     println!("$ cargo {}", words.join(" "));
     let printed = output_of(root, "cargo", &words)?;
     print!("{printed}");
-    let cases: Vec<Json> =
-        printed.lines().filter(|line| line.starts_with('{')).map(Json::parse).collect::<Result<_>>()?;
+    let cases = cases(&printed);
     if cases.is_empty() {
-        return Err("the example `iteration` printed no JSON line".into());
+        return Err("the example `iteration` printed nothing".into());
     }
     let commit = output_of(root, "git", &["describe", "--always", "--dirty"])?;
     let path = root.join(RESULTS);
@@ -32,6 +31,11 @@ pub(crate) fn run(root: &Path) -> Result<()> {
     std::fs::write(&path, after).map_err(|cause| format!("{RESULTS}: {cause}"))?;
     println!("appended to {RESULTS}");
     Ok(())
+}
+
+fn cases(printed: &str) -> Vec<Json> {
+    let lines = printed.lines().map(str::trim).filter(|line| !line.is_empty());
+    lines.map(|line| Json::parse(line).unwrap_or_else(|_| Json::Text(line.to_owned()))).collect()
 }
 
 /// Processor and cores, in words.
@@ -64,6 +68,13 @@ fn appended(before: &str, record: Json) -> Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_case_is_json_or_words() {
+        let found = cases("{\"ms\": 3.5}\n\n20000 Gaussians: 9 ms\n");
+        assert_eq!(found[0].get("ms"), Some(&Json::Number("3.5".into())));
+        assert_eq!(found[1].text(), Some("20000 Gaussians: 9 ms"));
+    }
 
     #[test]
     fn records_are_appended_and_kept() {
