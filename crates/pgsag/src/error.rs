@@ -1,9 +1,11 @@
 //! What ends a command, and with which exit code.
 //!
-//! A [`UserError`] is one line that names file, place, cause and cure, and exits 2. An [`Interrupted`] job has saved
+//! A [`UserError`] is one line that names file, place, cause and cure, and exits 2; so is a [`FileError`]. An [`Interrupted`] job has saved
 //! its state: Ctrl-C exits 130, a supervisor that wants the job back later 75. Anything else exits 1.
 
 use std::path::Path;
+
+use pgsag_scene::error::FileError;
 
 /// Bad input or usage: one line, exit 2.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -46,7 +48,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         if let Some(stopped) = cause.downcast_ref::<Interrupted>() {
             return stopped.exit_code;
         }
-        if cause.is::<UserError>() {
+        if cause.is::<UserError>() || cause.is::<FileError>() {
             return 2;
         }
     }
@@ -59,6 +61,9 @@ pub fn one_line(error: &anyhow::Error) -> String {
     for cause in error.chain() {
         if let Some(user) = cause.downcast_ref::<UserError>() {
             return user.to_string().replace('\n', " ");
+        }
+        if let Some(file) = cause.downcast_ref::<FileError>() {
+            return file.to_string();
         }
     }
     format!("{error:#}").replace('\n', " ")
@@ -76,6 +81,14 @@ mod tests {
         let error = Err::<(), _>(error).context("masks").expect_err("made");
         assert_eq!(exit_code(&error), 2);
         assert_eq!(one_line(&error), "a.jpg: mask: is 3 x 4; export it at 6 x 8");
+    }
+
+    #[test]
+    fn a_damaged_file_is_bad_input() {
+        let file = FileError::Unreadable { file: "a.bin".into(), reason: "gone".into() };
+        let error = Err::<(), _>(anyhow::Error::new(file)).context("import").expect_err("made");
+        assert_eq!(exit_code(&error), 2);
+        assert!(one_line(&error).starts_with("a.bin: cannot be read (gone); "), "{}", one_line(&error));
     }
 
     #[test]
