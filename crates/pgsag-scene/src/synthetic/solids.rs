@@ -112,7 +112,9 @@ impl Solids {
         }
         let reach = |axis: DVec3| (0..corners.len()).map(|k| (at(k) - origin).dot(axis)).fold(0.0, f64::max);
         let size = DVec2::new(reach(u), height.unwrap_or_else(|| reach(v)));
-        let seed = hash(paint.seed as i32, self.surfaces.len() as i32, 11);
+        // A car is of one colour; every other surface has its own pattern.
+        let surface_seed = hash(paint.seed as i32, self.surfaces.len() as i32, 11);
+        let seed = if material == Material::Car { paint.seed } else { surface_seed };
         let surface = self.surfaces.len() as u32;
         self.surfaces.push(Surface { material, building: paint.building, origin, u, v, normal, size, seed });
         for k in 1..corners.len() - 1 {

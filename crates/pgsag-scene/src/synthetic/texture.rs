@@ -154,14 +154,11 @@ fn tiles(surface: &Surface, at: DVec2, footprint: f64) -> Albedo {
     let moss = (noise(at.x / 0.9, at.y / 0.7, seed ^ 0x4D) - 0.35).clamp(0.0, 0.5);
     let color = (tint * shade * patch).lerp(DVec3::new(0.20, 0.24, 0.10), moss) * stain;
     let (cell, fx) = parted(at.x / 3.1);
-    let low = 0.35 * surface.size.y;
-    if hash(cell, 1, seed ^ 0x5C).is_multiple_of(3)
-        && fx * 3.1 > 1.1
-        && fx * 3.1 < 2.0
-        && at.y > low
-        && at.y < low + 1.2
-    {
-        let frame = fx * 3.1 < 1.22 || fx * 3.1 > 1.88 || at.y < low + 0.12 || at.y > low + 1.08;
+    let (x, low) = (fx * 3.1, 0.35 * surface.size.y);
+    let whole = cell >= 0 && f64::from(cell) * 3.1 + 2.2 < surface.size.x;
+    let inside = x > 1.1 && x < 2.0 && at.y > low && at.y < low + 1.2;
+    if inside && whole && hash(cell, 1, seed ^ 0x5C).is_multiple_of(3) {
+        let frame = x < 1.22 || x > 1.88 || at.y < low + 0.12 || at.y > low + 1.08;
         return if frame { DVec3::splat(0.5) } else { DVec3::new(0.08, 0.10, 0.14) * stain };
     }
     color
