@@ -18,10 +18,11 @@ mod tests;
 
 use glam::DVec3;
 
-pub use options::TownOptions;
+pub use options::{LensDistortion, TownOptions};
 pub use photography::Photograph;
 pub use truth::{Roof, TownBuilding};
 
+use crate::camera::undistort::pinhole_for;
 use crate::frame::Frame;
 use crate::numbers::SplitMix64;
 use crate::pose::RigidTransform;
@@ -86,7 +87,8 @@ impl Town {
     }
 
     fn views(&self) -> Vec<View> {
-        let (lens, camera) = flight::camera(&self.options);
+        let lens = flight::camera(&self.options);
+        let camera = pinhole_for(&lens);
         let suffix = if self.options.lossless { "png" } else { "jpg" };
         let digits = self.true_poses.len().saturating_sub(1).to_string().len().max(3);
         let deliver = |(k, pose): (usize, &RigidTransform)| View {

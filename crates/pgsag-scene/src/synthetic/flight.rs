@@ -4,21 +4,22 @@
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::layout::Layout;
-use super::options::TownOptions;
-use crate::camera::Pinhole;
+use super::options::{LensDistortion, TownOptions};
 use crate::camera::distortion::{LensCamera, LensModel};
 use crate::numbers::SplitMix64;
 use crate::pose::RigidTransform;
 
 /// The camera of all views.
-pub(super) fn camera(options: &TownOptions) -> (LensCamera, Pinhole) {
+pub(super) fn camera(options: &TownOptions) -> LensCamera {
     let (width, height) = (options.width.max(1), options.height.max(1));
     let f = options.focal_ratio.max(0.05) * f64::from(width);
     let [dx, dy] = options.principal_point_offset_px;
     let (cx, cy) = (f64::from(width) / 2.0 + dx, f64::from(height) / 2.0 + dy);
-    let params = vec![f, f, cx, cy];
-    let pinhole = Pinhole { width, height, fx: f, fy: f, cx, cy };
-    (LensCamera { model: LensModel::Pinhole, width, height, params }, pinhole)
+    let (model, params) = match options.lens {
+        None => (LensModel::Pinhole, vec![f, f, cx, cy]),
+        Some(LensDistortion { k1, k2, p1, p2 }) => (LensModel::Opencv, vec![f, f, cx, cy, k1, k2, p1, p2]),
+    };
+    LensCamera { model, width, height, params }
 }
 
 /// An oblique image reaches farther beyond its aim than before it; aims are drawn back by this share of the distance, so

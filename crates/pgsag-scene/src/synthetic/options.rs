@@ -3,6 +3,20 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Lens distortion in the terms of COLMAP's OPENCV model (dimensionless).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LensDistortion {
+    /// Radial, second order.
+    pub k1: f64,
+    /// Radial, fourth order.
+    pub k2: f64,
+    /// Tangential.
+    pub p1: f64,
+    /// Tangential.
+    pub p2: f64,
+}
+
 /// What the town looks like, who photographs it and how well structure-from-motion works.
 /// Equal options give equal bytes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,6 +52,8 @@ pub struct TownOptions {
     pub oblique_tilt_rad: f64,
     /// Principal point minus image centre, pixels.
     pub principal_point_offset_px: [f64; 2],
+    /// Photographs are taken through this lens; `None` = a pinhole.
+    pub lens: Option<LensDistortion>,
     /// Standard deviation of the logarithm of the exposure from view to view.
     pub exposure_spread: f64,
     /// Standard deviation of the image noise, grey levels of 255.
@@ -86,6 +102,7 @@ impl Default for TownOptions {
             nadir_share: 0.25,
             oblique_tilt_rad: 0.72,
             principal_point_offset_px: [0.0, 0.0],
+            lens: None,
             exposure_spread: 0.04,
             image_noise: 1.5,
             sun_azimuth_rad: -2.2,
@@ -105,10 +122,10 @@ impl Default for TownOptions {
 }
 
 impl TownOptions {
-    /// The defaults for a town of another size: as many more views as it has more parcels than the demo's four.
+    /// The defaults for a town of another size: more views, points, trees and cars with more parcels than the demo's four.
     #[must_use]
-    pub fn for_houses(house_count: u32) -> Self {
-        let mut options = Self { house_count, ..Self::default() };
+    pub fn for_houses(house_count: u32, row_house_count: u32) -> Self {
+        let mut options = Self { house_count, row_house_count, ..Self::default() };
         let parcels = super::layout::house_groups(&options).len() as u32;
         let factor = parcels.max(4);
         options.view_count = 24 + 10 * (factor - 4);

@@ -2,7 +2,7 @@
 //! Where a pixel and its eight neighbours lie on one flat surface in one light, the samples meet its plane without a walk
 //! through the tree; elsewhere every sample is traced.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::Town;
@@ -55,18 +55,26 @@ pub(super) struct Rays<'a> {
     view_index: usize,
     pub(super) center: DVec3,
     world_from_camera: DMat3,
+    through_lens: bool,
 }
 
 impl<'a> Rays<'a> {
     pub(super) fn new(town: &'a Town, view_index: usize) -> Self {
         let pose = &town.true_poses[view_index];
-        Self { town, view_index, center: pose.origin_of_a(), world_from_camera: pose.rotation_matrix().transpose() }
+        let through_lens = !town.scene.views[view_index].lens.model.is_pinhole();
+        let world_from_camera = pose.rotation_matrix().transpose();
+        Self { town, view_index, center: pose.origin_of_a(), world_from_camera, through_lens }
     }
 
     /// The ray through image coordinates, town frame, z = 1 along the optical axis.
     pub(super) fn direction(&self, x: f64, y: f64) -> DVec3 {
         let view = &self.town.scene.views[self.view_index];
-        let ray = view.camera.ray(x, y);
+        let ray = if self.through_lens {
+            // Where a strong lens has no ray, the pinhole's stands in.
+            view.lens.unproject(DVec2::new(x, y)).unwrap_or_else(|| view.camera.ray(x, y))
+        } else {
+            view.camera.ray(x, y)
+        };
         self.world_from_camera * ray
     }
 }

@@ -52,9 +52,7 @@ fn count_landings(town: &Town) -> usize {
         let pose = town.true_camera_from_world(k);
         for (point, &number) in points.iter().zip(&numbers) {
             let p = pose.transform_point(DVec3::from_array(*point));
-            let Some((instance, depth)) = view.camera.project(p).and_then(|at| steady(&photograph, at)) else {
-                continue;
-            };
+            let Some((instance, depth)) = view.lens.project(p).and_then(|at| steady(&photograph, at)) else { continue };
             if (f64::from(depth) - p.z).abs() < 0.4 {
                 assert_eq!(u32::from(instance), number, "view {k}, point {point:?}");
                 landings += 1;
@@ -68,6 +66,17 @@ fn count_landings(town: &Town) -> usize {
 #[test]
 fn visible_points_land_on_their_building() {
     assert!(count_landings(&Town::generate(&tiny())) > 5000);
+}
+
+#[test]
+fn visible_points_land_on_their_building_through_a_lens() {
+    let lens = Some(LensDistortion { k1: -0.08, k2: 0.01, p1: 0.001, p2: -0.001 });
+    let town = Town::generate(&TownOptions { lens, principal_point_offset_px: [3.0, -2.0], ..tiny() });
+    assert_ne!(
+        town.scene.views[0].lens.project(DVec3::new(0.3, 0.2, 1.0)),
+        town.scene.views[0].camera.project(DVec3::new(0.3, 0.2, 1.0))
+    );
+    assert!(count_landings(&town) > 5000);
 }
 
 /// For every roof and every wall that is not shared: how many views see at least 30 % of it.
@@ -96,7 +105,7 @@ fn coverage(town: &Town) -> (Vec<usize>, Vec<usize>) {
 #[test]
 fn every_roof_and_facade_is_photographed_often_enough() {
     for (seed, house_count) in [(1, 4), (1, 6), (2, 6), (3, 6), (4, 6), (1, 8)] {
-        let town = Town::generate(&TownOptions { seed, point_count: 0, ..TownOptions::for_houses(house_count) });
+        let town = Town::generate(&TownOptions { seed, point_count: 0, ..TownOptions::for_houses(house_count, 3) });
         let (roofs, facades) = coverage(&town);
         assert!(roofs.iter().all(|&views| views >= 5), "seed {seed}: roofs seen {roofs:?} times");
         // Beyond the demo's four parcels a facade that looks on a neighbour may be seen by two views only.

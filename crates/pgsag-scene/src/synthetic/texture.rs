@@ -158,7 +158,7 @@ fn tiles(surface: &Surface, at: DVec2, footprint: f64) -> Albedo {
     let whole = cell >= 0 && f64::from(cell) * 3.1 + 2.2 < surface.size.x;
     let inside = x > 1.1 && x < 2.0 && at.y > low && at.y < low + 1.2;
     if inside && whole && hash(cell, 1, seed ^ 0x5C).is_multiple_of(3) {
-        let frame = x < 1.22 || x > 1.88 || at.y < low + 0.12 || at.y > low + 1.08;
+        let frame = !(1.22..=1.88).contains(&x) || at.y < low + 0.12 || at.y > low + 1.08;
         return if frame { DVec3::splat(0.5) } else { DVec3::new(0.08, 0.10, 0.14) * stain };
     }
     color
