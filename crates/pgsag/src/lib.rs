@@ -6,3 +6,4 @@
 pub mod config;
 pub mod error;
 pub mod run;
+pub mod town_folder;
