@@ -5,6 +5,12 @@ use pgsag_scene::{Image, Map, Pinhole, RigidTransform};
 
 use crate::error::MeshError;
 
+mod filter;
+mod merge;
+
+pub use filter::{FilterOptions, filter};
+pub use merge::{combine, merge_views};
+
 /// One posed depth map.
 #[derive(Clone, Debug)]
 pub struct DepthView<'a> {
@@ -44,3 +50,45 @@ impl DepthView<'_> {
         self.color.map_or(Ok(()), |image| size("the image", image.width, image.height, image.pixels.len()))
     }
 }
+
+/// A checked depth map of one view. All rasters have the same size.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthMap {
+    /// Depth along the optical axis, scene units; 0 where there is none.
+    pub depth: Map<f32>,
+    /// Confidence; 0 where there is no depth.
+    pub weight: Map<f32>,
+    /// Unit normals, camera frame, where they are known; zero where not.
+    pub normal: Option<Map<[f32; 3]>>,
+    /// How many other views agree; 0 with a depth means that one view alone vouches for it.
+    pub support: Map<u8>,
+}
+
+impl DepthMap {
+    /// A map without a single depth.
+    #[must_use]
+    pub fn empty(width: u32, height: u32) -> Self {
+        Self {
+            depth: Map::filled(width, height, 0.0),
+            weight: Map::filled(width, height, 0.0),
+            normal: None,
+            support: Map::filled(width, height, 0),
+        }
+    }
+
+    /// The map with its pose and colours, ready for the volume.
+    #[must_use]
+    pub fn into_view(self, camera: Pinhole, camera_from_world: RigidTransform, color: Option<&Image>) -> DepthView<'_> {
+        DepthView { camera, camera_from_world, depth: self.depth, weight: self.weight, normal: self.normal, color }
+    }
+
+    /// Share of the pixels with a depth.
+    #[must_use]
+    pub fn coverage(&self) -> f64 {
+        let with = self.depth.values.iter().filter(|z| **z > 0.0).count();
+        with as f64 / self.depth.values.len().max(1) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -22,7 +22,7 @@ pub use picture::{accuracy_map, completeness_colors, distance_color};
 use judge::Known;
 use published::{Rules, smallest, truth_cloud};
 use sample::Sampler;
-use surface::Cloud;
+pub(crate) use surface::{Cloud, Target};
 
 /// Scores `mesh` (scene units) against `truth`. `Score::inputs` is left empty for the caller.
 ///
