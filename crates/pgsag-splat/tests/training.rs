@@ -1,0 +1,134 @@
+//! Training on the embedded backend: a tiny town is learnt, the same bytes come out however the run is cut or threaded.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use pgsag_scene::Map;
+use pgsag_scene::numbers::median;
+use pgsag_scene::synthetic::{Photograph, Town, TownOptions};
+use pgsag_splat::Backend;
+use pgsag_splat::backend::{OptimizerState, TrainingView, ViewCamera};
+use pgsag_splat::cpu::{Cpu, CpuOptions};
+use pgsag_splat::train::{
+    Checkpoint, DepthOptions, InitialPoint, InitialiseOptions, NeighborOptions, TrainOptions, Trainer, ViewSource,
+    evaluate_view, initialise, neighbors_of, render_depth, valid_depth,
+};
+
+struct TinyTown {
+    town: Town,
+    photographs: Vec<Photograph>,
+}
+
+impl TinyTown {
+    fn new() -> Self {
+        let options = TownOptions {
+            house_count: 3,
+            view_count: 9,
+            width: 96,
+            height: 72,
+            gsd_m: 0.3,
+            point_count: 1200,
+            ..TownOptions::default()
+        };
+        let town = Town::generate(&options);
+        let photographs = (0..town.scene.views.len()).map(|view| town.photograph(view)).collect();
+        Self { town, photographs }
+    }
+
+    fn trainer<'a>(&'a self, backend: &'a Cpu) -> Trainer<'a, Cpu> {
+        let cloud = initialise(&self.points(), [0.0; 3], &InitialiseOptions::default()).expect("points");
+        Trainer::new(backend, self, self.neighbors(), cloud, options(), 5).expect("a trainable town")
+    }
+
+    fn points(&self) -> Vec<InitialPoint> {
+        let points = self.town.scene.points.iter();
+        points
+            .map(|p| InitialPoint { position_world: p.position_world.to_array(), color: p.color, normal: None })
+            .collect()
+    }
+
+    fn neighbors(&self) -> Vec<Vec<pgsag_splat::train::Neighbor>> {
+        let all: Vec<u32> = (0..self.photographs.len() as u32).collect();
+        neighbors_of(&self.town.scene, &all, &NeighborOptions { min_shared: 20, ..NeighborOptions::default() })
+    }
+
+    /// PSNR of a view in decibels, and the median depth error there in ground sampling distances.
+    fn quality(&self, backend: &Cpu, cloud: &<Cpu as Backend>::Cloud, index: usize) -> (f64, f64) {
+        let view = self.view(index).expect("in memory");
+        let psnr = evaluate_view(backend, cloud, &view, 0, true).expect("a render").psnr;
+        let maps = render_depth(backend, cloud, &view.camera, None, 0).expect("a render");
+        let depth = valid_depth(&maps, &view.camera, None, &DepthOptions::default()).depth;
+        let truth: &Map<f32> = &self.photographs[index].depth;
+        let pairs = depth.values.iter().zip(&truth.values).filter(|(a, b)| **a > 0.0 && **b > 0.0);
+        let focal = view.camera.pinhole.focal_px();
+        let mut errors: Vec<f64> = pairs.map(|(a, b)| f64::from(((a - b) / b).abs()) * focal).collect();
+        (psnr, median(&mut errors).expect("some depth"))
+    }
+}
+
+impl ViewSource for TinyTown {
+    fn len(&self) -> usize {
+        self.photographs.len()
+    }
+
+    fn camera(&self, index: usize) -> ViewCamera {
+        let view = &self.town.scene.views[index];
+        ViewCamera {
+            pinhole: view.camera,
+            rotation: view.camera_from_world.rotation_matrix().transpose().to_cols_array_2d(),
+            translation: view.camera_from_world.translation.to_array(),
+            near: 0.0,
+        }
+    }
+
+    fn view(&self, index: usize) -> pgsag_splat::train::Result<Arc<TrainingView>> {
+        let image = self.photographs[index].image.clone();
+        Ok(Arc::new(TrainingView { camera: self.camera(index), image, mask: None, inner_edges: None }))
+    }
+}
+
+fn options() -> TrainOptions {
+    let mut options = TrainOptions { iterations: 300, ..TrainOptions::fast() };
+    options.density.trim_interval = 100;
+    options
+}
+
+fn on(_: &pgsag_splat::train::Progress) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+#[test]
+fn a_town_is_learnt() {
+    let (town, backend) = (TinyTown::new(), Cpu::new(CpuOptions::default()).expect("some instructions"));
+    let cloud = initialise(&town.points(), [0.0; 3], &InitialiseOptions::default()).expect("points");
+    let before = backend.upload(&OptimizerState::fresh(cloud)).expect("small");
+    let (psnr_before, error_before) = town.quality(&backend, &before, 4);
+    let mut trainer = town.trainer(&backend);
+    trainer.run(u32::MAX, &mut on).expect("finite");
+    let (psnr, error) = town.quality(&backend, trainer.cloud(), 4);
+    assert!(psnr > psnr_before + 4.0, "{psnr_before:.2} dB before, {psnr:.2} dB after");
+    assert!(error < 2.5 && error < 0.25 * error_before, "{error_before:.3} gsd before, {error:.3} gsd after");
+}
+
+#[test]
+fn cut_and_threaded_runs_give_the_same_bytes() {
+    let (town, backend) = (TinyTown::new(), Cpu::new(CpuOptions::default()).expect("some instructions"));
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+    let straight = one.install(|| {
+        let mut trainer = town.trainer(&backend);
+        trainer.run(130, &mut on).expect("finite");
+        trainer.checkpoint().expect("memory").to_bytes()
+    });
+    let three = rayon::ThreadPoolBuilder::new().num_threads(3).build().expect("threads");
+    let cut = three.install(|| {
+        let mut trainer = town.trainer(&backend);
+        trainer.run(95, &mut on).expect("finite");
+        let checkpoint = Checkpoint::from_bytes(&trainer.checkpoint().expect("memory").to_bytes()).expect("own bytes");
+        let fresh = Cpu::new(CpuOptions::default()).expect("some instructions");
+        let mut resumed =
+            Trainer::resume(&fresh, &town, town.neighbors(), options(), &checkpoint).expect("the same options");
+        resumed.run(130, &mut on).expect("finite");
+        resumed.checkpoint().expect("memory").to_bytes()
+    });
+    assert!(straight == cut, "the bytes of a run depend on cuts or threads");
+}
