@@ -1,7 +1,8 @@
 //! What ends a command, and with which exit code.
 //!
-//! A [`UserError`] is one line that names file, place, cause and cure, and exits 2; so is a [`FileError`]. An [`Interrupted`] job has saved
-//! its state: Ctrl-C exits 130, a supervisor that wants the job back later 75. Anything else exits 1.
+//! A [`UserError`] is one line that names file, place, cause and cure, and exits 2; so is a [`FileError`]. An
+//! [`Interrupted`] job has saved its state: Ctrl-C exits 130, a supervisor that wants the job back later 75. Anything
+//! else exits 1.
 
 use std::path::Path;
 
