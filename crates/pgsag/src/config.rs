@@ -7,8 +7,16 @@ use anyhow::{Context as _, Result};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use pgsag_group::VoteOptions;
+use pgsag_group::refine::RefineOptions;
+use pgsag_mesh::fuse::FilterOptions;
+use pgsag_mesh::score::ScoreOptions;
+use pgsag_splat::train::{DepthOptions, InitialiseOptions, NeighborOptions, TrainOptions};
+
 use crate::error::UserError;
 use crate::run::settings::Settings;
+use crate::stages::merge::BuildingOptions;
+use crate::stages::mesh::SurfaceOptions;
 
 pub mod keys;
 pub mod sizes;
@@ -44,6 +52,8 @@ pub struct Config {
     pub until: String,
     /// Where jobs run: `local`.
     pub engine: String,
+    /// The scene's folder; given as an argument.
+    pub scene: String,
 
     /// Seed of everything random.
     pub seed: u64,
@@ -61,6 +71,27 @@ pub struct Config {
     pub aoi: String,
     /// Truth to score against; empty: no score.
     pub truth: String,
+
+    /// Votes of the views on points.
+    pub vote: VoteOptions,
+    /// Masks to pixel classes.
+    pub refine: RefineOptions,
+    /// The first Gaussians.
+    pub initialise: InitialiseOptions,
+    /// Which views are compared.
+    pub neighbors: NeighborOptions,
+    /// Training.
+    pub train: TrainOptions,
+    /// Which rendered depths deserve belief.
+    pub depth: DepthOptions,
+    /// Which depths the other views confirm.
+    pub filter: FilterOptions,
+    /// Depth to surface.
+    pub surface: SurfaceOptions,
+    /// Surface to buildings.
+    pub buildings: BuildingOptions,
+    /// How to score.
+    pub score: ScoreOptions,
 }
 
 impl Default for Config {
@@ -72,6 +103,7 @@ impl Default for Config {
             memory_limit: String::new(),
             until: String::new(),
             engine: "local".into(),
+            scene: String::new(),
             seed: 0,
             masks: "auto".into(),
             image_width: 0,
@@ -80,6 +112,16 @@ impl Default for Config {
             holdout: 0,
             aoi: String::new(),
             truth: String::new(),
+            vote: VoteOptions::default(),
+            refine: RefineOptions::default(),
+            initialise: InitialiseOptions::default(),
+            neighbors: NeighborOptions::default(),
+            train: TrainOptions::default(),
+            depth: DepthOptions::default(),
+            filter: FilterOptions::default(),
+            surface: SurfaceOptions::default(),
+            buildings: BuildingOptions::default(),
+            score: ScoreOptions::default(),
         }
     }
 }
@@ -88,7 +130,15 @@ impl Config {
     /// The values of a preset.
     #[must_use]
     pub fn preset(preset: Preset) -> Self {
-        Self { preset, ..Self::default() }
+        let standard = Self { preset, ..Self::default() };
+        match preset {
+            Preset::Standard => standard,
+            Preset::Fast => Self { train: TrainOptions::fast(), ..standard },
+            Preset::Paper => {
+                let initialise = InitialiseOptions { sh_degree: 3, ..standard.initialise };
+                Self { train: TrainOptions::paper(), initialise, ..standard }
+            }
+        }
     }
 
     /// As dotted keys, in one spelling per value.
@@ -97,7 +147,11 @@ impl Config {
     /// Never: a configuration is plain data.
     #[must_use]
     pub fn settings(&self) -> Settings {
-        Settings::flatten(&serde_json::to_value(self).expect("plain data becomes JSON"))
+        let mut settings = Settings::flatten(&serde_json::to_value(self).expect("plain data becomes JSON"));
+        // Bounds of memory come from --memory-limit and change no answer.
+        settings.remove("train.view_cache_bytes");
+        settings.remove("surface.tsdf.max_bytes");
+        settings
     }
 
     /// From dotted keys as [`Self::settings`] wrote them.

@@ -60,8 +60,8 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
 #[must_use]
 pub fn one_line(error: &anyhow::Error) -> String {
     for cause in error.chain() {
-        if let Some(user) = cause.downcast_ref::<UserError>() {
-            return user.to_string().replace('\n', " ");
+        if cause.is::<UserError>() || cause.is::<FileError>() {
+            return cause.to_string().replace('\n', " ");
         }
         if let Some(file) = cause.downcast_ref::<FileError>() {
             return file.to_string();

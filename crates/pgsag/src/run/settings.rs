@@ -19,11 +19,11 @@ impl Settings {
         Self(flat)
     }
 
-    /// The tables again.
+    /// The tables again; keys without a value (absent, or a number that JSON cannot hold) are left to their default.
     #[must_use]
     pub fn nest(&self) -> Value {
         let mut root = Map::new();
-        for (key, value) in &self.0 {
+        for (key, value) in self.0.iter().filter(|(_, value)| !value.is_null()) {
             let mut table = &mut root;
             let mut parts = key.split('.').peekable();
             while let Some(part) = parts.next() {
@@ -65,6 +65,11 @@ impl Settings {
     /// Sets one value.
     pub fn set(&mut self, key: &str, value: Value) {
         self.0.insert(key.to_owned(), value);
+    }
+
+    /// Takes a key out.
+    pub fn remove(&mut self, key: &str) {
+        self.0.remove(key);
     }
 
     /// All, by key.
