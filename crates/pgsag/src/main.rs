@@ -1,3 +1,16 @@
-//! The product: parse, plan, execute.
+//! Parse, plan, execute.
 
-fn main() {}
+use std::process::ExitCode;
+
+use clap::Parser as _;
+use pgsag::cli::Cli;
+
+fn main() -> ExitCode {
+    match pgsag::commands::dispatch(Cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", pgsag::error::one_line(&error));
+            ExitCode::from(pgsag::error::exit_code(&error))
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! `pgsag score`: any mesh against any truth.
+
+use anyhow::Result;
+use pgsag_mesh::score::{Distances, Score, ScoreOptions};
+use serde::de::DeserializeOwned;
+
+use super::{existing, print};
+use crate::cli::ScoreArgs;
+use crate::error::UserError;
+use crate::stages::aoi::Area;
+use crate::stages::score::score_file;
+use crate::stages::write_json;
+
+/// Scores and prints.
+pub(super) fn run(args: &ScoreArgs, json: bool) -> Result<()> {
+    let (mesh, truth) = (existing(&args.mesh, "the mesh")?, existing(&args.truth, "the truth")?);
+    let defaults = ScoreOptions::default();
+    let options = ScoreOptions {
+        protocol: word("--protocol", &args.protocol, "pgsag, pg-sag, citygs-v2 or tanks-and-temples")?,
+        align: word("--align", &args.align, "none, icp or icp-scale")?,
+        thresholds_m: if args.threshold.is_empty() { defaults.thresholds_m.clone() } else { args.threshold.clone() },
+        spacing_m: args.spacing,
+        crop: args.crop.as_deref().map(Area::read).transpose()?.map(|area| area.outline()),
+        metres_per_unit: args.metres_per_unit,
+        seed: args.seed,
+        ..defaults
+    };
+    let score = score_file(&mesh, &truth, &options)?;
+    if let Some(path) = &args.output {
+        write_json(path, &score)?;
+    }
+    if json {
+        return print(&serde_json::to_string(&score)?);
+    }
+    for line in table(&score) {
+        print(&line)?;
+    }
+    Ok(())
+}
+
+/// A word of a library's own list.
+fn word<T: DeserializeOwned>(option: &str, typed: &str, known: &str) -> Result<T> {
+    serde_json::from_value(typed.into())
+        .map_err(|_| UserError::new(format!("{option} {typed}"), "is unknown", format!("use {known}")).into())
+}
+
+/// A score as a person reads it.
+pub(super) fn table(score: &Score) -> Vec<String> {
+    let mut lines = vec![format!("{:>10} {:>10} {:>8} {:>8}", "threshold", "precision", "recall", "F1")];
+    for row in &score.scores {
+        lines.push(format!("{:>8.2} m {:>10.3} {:>8.3} {:>8.3}", row.threshold_m, row.precision, row.recall, row.f1));
+    }
+    let spread = |name: &str, found: &Distances| {
+        let number = |value: Option<f64>| value.map_or_else(|| "-".into(), |value| format!("{value:.3}"));
+        let all = &found.all;
+        format!(
+            "{name}: mean {} m, 68 % within {} m, 90 % within {} m, 95 % within {} m",
+            number(all.mean),
+            number(all.p68),
+            number(all.p90),
+            number(all.p95)
+        )
+    };
+    lines.push(spread("accuracy", &score.accuracy_m));
+    lines.push(spread("completeness", &score.completeness_m));
+    lines.extend(score.notes.iter().map(|note| format!("note: {note}")));
+    lines
+}

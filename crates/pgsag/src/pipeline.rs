@@ -1,0 +1,78 @@
+//! THE TABLE: thirteen rows, read top to bottom.
+
+use crate::run::artifact::Artifact;
+use crate::run::stage::{Job, Per, Stage};
+use crate::stages::{
+    coarse, depth, fuse, group, import, masks, merge, mesh, no_sources, refine, report, score, train, vote,
+};
+
+/// A row that depends on nothing outside the run and nothing of the device; the rest is said in the table.
+const fn row<A: Artifact>(
+    name: &'static str,
+    reads: &'static [&'static str],
+    per: Per,
+    slice: &'static [&'static str],
+    jobs: fn(&crate::run::Run) -> anyhow::Result<Vec<crate::run::stage::JobPlan>>,
+    run: fn(&Job<'_>) -> anyhow::Result<()>,
+) -> Stage {
+    Stage {
+        name,
+        reads,
+        per,
+        slice,
+        on_backend: false,
+        format: (A::FORMAT, A::VERSION),
+        code: 1,
+        publishes: None,
+        sources: no_sources,
+        jobs,
+        run,
+    }
+}
+
+/// What the views and the pixels of a run depend on.
+const IMAGES: &str = "image_width";
+
+/// From photographs to the result, in order.
+#[rustfmt::skip]
+pub static PIPELINE: &[Stage] = &[
+    Stage { sources: import::sources,
+    ..row::<import::Imported>("import", &[], Per::Whole, &[], import::jobs, import::run) },
+    row::<coarse::Coarse>("coarse", &["import"], Per::Whole, &[], coarse::jobs, coarse::run),
+    Stage { sources: masks::sources,
+    ..row::<masks::MaskList>("masks", &["import"], Per::Image, &["masks", IMAGES], masks::jobs, masks::run) },
+    row::<vote::Votes>("vote", &["import", "coarse", "masks"], Per::Whole, &["vote"], vote::jobs, vote::run),
+    row::<refine::Classes>("refine", &["import", "masks"], Per::Image, &["refine"], refine::jobs, refine::run),
+    row::<group::Groups>("group", &["import", "coarse", "masks", "vote", "refine"], Per::Whole, &["vote", "aoi", "holdout", IMAGES], group::jobs, group::run),
+    Stage { on_backend: true,
+    ..row::<train::Trained>("train", &["import", "coarse", "refine", "group"], Per::Group, &["seed", "train", "initialise", "neighbors", "holdout", IMAGES], train::jobs, train::run) },
+    Stage { on_backend: true,
+    ..row::<depth::DepthMaps>("depth", &["import", "refine", "group", "train"], Per::Group, &["depth", "filter", "neighbors", IMAGES], depth::jobs, depth::run) },
+    row::<fuse::Fused>("fuse", &["import", "group", "depth"], Per::Image, &[IMAGES], fuse::jobs, fuse::run),
+    row::<mesh::Surface>("mesh", &["import", "group", "fuse"], Per::Tile, &["surface", IMAGES], mesh::jobs, mesh::run),
+    row::<merge::Merged>("merge", &["import", "group", "mesh"], Per::Whole, &["aoi"], merge::jobs, merge::run),
+    Stage { sources: score::sources,
+    ..row::<score::Scored>("score", &["import", "merge"], Per::Whole, &["score", "seed"], score::jobs, score::run) },
+    Stage { publishes: Some("result"),
+    ..row::<report::Published>("report", &["import", "coarse", "masks", "vote", "group", "train", "depth", "merge", "score"], Per::Whole, &[], report::jobs, report::run) },
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+
+    #[test]
+    fn rows_read_only_rows_above_them_and_settings_that_exist() {
+        let settings = Config::default().settings();
+        for (at, stage) in PIPELINE.iter().enumerate() {
+            for upstream in stage.reads {
+                assert!(PIPELINE[..at].iter().any(|row| row.name == *upstream), "{} reads {upstream}", stage.name);
+            }
+            for key in stage.slice {
+                assert!(settings.slice(&[key]).iter().next().is_some(), "{} reads setting {key}", stage.name);
+            }
+        }
+        assert_eq!(PIPELINE.len(), 13);
+    }
+}

@@ -1,0 +1,165 @@
+//! `fuse`: one depth map per image, from all groups that see it, with the group that each pixel belongs to.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use anyhow::Result;
+use pgsag_group::{Group, GroupKind};
+use pgsag_scene::files::raster::{decode_instances, encode_instances_png};
+use pgsag_scene::{Map, Pinhole, View};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::depth::{read_depth, write_depth};
+use super::group::{Extent, Groups};
+use super::import::Imported;
+use super::{batch_file, batch_views, batches, config, read, read_json, view_file, write, write_json};
+use crate::photographs::training_camera;
+use crate::run::Run;
+use crate::run::artifact::Artifact;
+use crate::run::stage::{Cost, Job, JobPlan};
+
+/// Pixels between two that are looked at for [`FusedView::cubes`].
+const STRIDE: usize = 4;
+
+/// A fused view.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FusedView {
+    /// Index of the view.
+    pub view_index: usize,
+    /// The cubes of [`Extent`] that its surface touches.
+    pub cubes: BTreeSet<[i32; 3]>,
+}
+
+/// One batch of images.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Fused {
+    /// Views with depth.
+    pub views: Vec<FusedView>,
+}
+
+impl Artifact for Fused {
+    const FORMAT: &'static str = "pgsag-fused";
+    const VERSION: u32 = 1;
+
+    fn read(folder: &Path) -> Result<Self> {
+        read_json(&folder.join("fuse.json"))
+    }
+
+    fn write(&self, folder: &Path) -> Result<()> {
+        write_json(&folder.join("fuse.json"), self)
+    }
+}
+
+/// Every fused view of a run.
+///
+/// # Errors
+/// Where a batch is damaged or not finished.
+pub fn fused_views(run: &Run) -> Result<Vec<FusedView>> {
+    let folder = run.stage_folder("fuse");
+    let mut views = Vec::new();
+    for batch in run.finished_jobs("fuse")? {
+        views.extend(Fused::read(&folder.join(batch))?.views);
+    }
+    Ok(views)
+}
+
+/// Depth, confidence and group number of a fused view.
+///
+/// # Errors
+/// Where a file is damaged.
+pub fn read_fused(stage_folder: &Path, view_index: usize) -> Result<(Map<f32>, Map<f32>, Map<u16>)> {
+    let folder = stage_folder.join(super::batch_name(view_index));
+    let (depth, weight) = read_depth(&folder, view_index)?;
+    let (file, bytes) = read(&batch_file(stage_folder, view_index, "group.png"))?;
+    Ok((depth, weight, decode_instances(&file, &bytes)?))
+}
+
+pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
+    let imported = Imported::read(&run.stage_folder("import"))?;
+    let width = config(run)?.image_width;
+    let camera = |view: &View| training_camera(&view.camera, width).pixel_count() as u64;
+    let pixels = imported.scene.views.iter().map(camera).max().unwrap_or(0);
+    let threads = rayon::current_num_threads() as u64;
+    Ok(batches(imported.scene.views.len(), &["import", "group", "depth"], |count| Cost {
+        memory_bytes: (64 << 20) + 48 * pixels * threads,
+        disk_bytes: count as u64 * pixels * 9,
+        cpu_secs: count as f64 * pixels as f64 * 60e-9,
+    }))
+}
+
+pub(crate) fn run(job: &Job<'_>) -> Result<()> {
+    let config = config(job.run)?;
+    let imported: Imported = job.read("import")?;
+    let Groups { groups, extent, .. } = job.read("group")?;
+    let views = batch_views(job, imported.scene.views.len());
+    let fused = views
+        .par_iter()
+        .map(|&view_index| {
+            job.check()?;
+            let view = &imported.scene.views[view_index];
+            let camera = training_camera(&view.camera, config.image_width);
+            let Some(canvas) = fuse_view(job, &groups, view_index, &camera)? else { return Ok(None) };
+            write_depth(job.output(), view_index, &canvas.depth, &canvas.weight)?;
+            write(&job.output().join(view_file(view_index, "group.png")), &encode_instances_png(&canvas.group))?;
+            Ok(Some(FusedView { view_index, cubes: cubes(&canvas.depth, &camera, view, &extent) }))
+        })
+        .collect::<Result<Vec<_>>>()?;
+    job.write(&Fused { views: fused.into_iter().flatten().collect() })
+}
+
+struct Canvas {
+    depth: Map<f32>,
+    weight: Map<f32>,
+    group: Map<u16>,
+}
+
+/// Weighted mean where groups overlap; the pixel belongs to the surest of them.
+fn fuse_view(job: &Job<'_>, groups: &[Group], view_index: usize, camera: &Pinhole) -> Result<Option<Canvas>> {
+    let (width, height) = (camera.width, camera.height);
+    let mut canvas: Option<Canvas> = None;
+    for group in groups {
+        let Some(view) = group.views.iter().find(|view| view.view_index as usize == view_index) else { continue };
+        let (depth, weight) = read_depth(&job.input("depth").join(group.id.to_string()), view_index)?;
+        let canvas = canvas.get_or_insert_with(|| Canvas {
+            depth: Map::filled(width, height, 0.0),
+            weight: Map::filled(width, height, 0.0),
+            group: Map::filled(width, height, 0),
+        });
+        let number = if group.id.kind == GroupKind::Building { group.id.number as u16 } else { 0 };
+        let [x0, y0, ..] = view.window_px;
+        for y in 0..depth.height {
+            for x in 0..depth.width {
+                let (z, w) = (depth.at(x, y), weight.at(x, y));
+                if !(z > 0.0 && w > 0.0) {
+                    continue;
+                }
+                let (u, v) = (x0 + x, y0 + y);
+                let (old_z, old_w) = (canvas.depth.at(u, v), canvas.weight.at(u, v));
+                canvas.depth.set(u, v, (old_z * old_w + z * w) / (old_w + w));
+                if w > old_w {
+                    canvas.group.set(u, v, number);
+                }
+                canvas.weight.set(u, v, old_w.max(w));
+            }
+        }
+    }
+    Ok(canvas)
+}
+
+fn cubes(depth: &Map<f32>, camera: &Pinhole, view: &View, extent: &Extent) -> BTreeSet<[i32; 3]> {
+    let world_from_camera = view.camera_from_world.inverse();
+    let mut counts: BTreeMap<[i32; 3], u32> = BTreeMap::new();
+    for y in (0..depth.height).step_by(STRIDE) {
+        for x in (0..depth.width).step_by(STRIDE) {
+            let z = f64::from(depth.at(x, y));
+            if z > 0.0 {
+                let ray = camera.ray(f64::from(x) + 0.5, f64::from(y) + 0.5);
+                if let Some(cube) = extent.cube_of(world_from_camera.transform_point(ray * z)) {
+                    *counts.entry(cube).or_default() += 1;
+                }
+            }
+        }
+    }
+    counts.into_keys().collect()
+}

@@ -1,0 +1,240 @@
+//! `merge`: the surfaces of all cubes become one city; its buildings are told apart.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use glam::DVec3;
+use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces, plan_pieces};
+use pgsag_mesh::merge::split_by_building;
+use pgsag_scene::Mesh;
+use serde::{Deserialize, Serialize};
+
+use super::aoi::Area;
+use super::group::Groups;
+use super::import::Imported;
+use super::mesh::{Surface, lattice_of, read_surface, write_surface};
+use super::{config, read_json, write_json};
+use crate::error::UserError;
+use crate::lengths::Lengths;
+use crate::run::Run;
+use crate::run::artifact::Artifact;
+use crate::run::stage::{Cost, Job, JobPlan};
+
+/// What is a surface and what is a building.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BuildingOptions {
+    /// Connected pieces of less surface are dropped as crumbs.
+    pub min_piece_m2: f64,
+    /// Connected pieces of fewer faces are dropped as crumbs.
+    pub min_piece_faces: usize,
+    /// Buildings part in plan view where a gap is wider than about two of these.
+    pub plan_cell_m: f64,
+    /// Building surface of less than this is no building of its own and counts as background.
+    pub min_building_m2: f64,
+}
+
+impl Default for BuildingOptions {
+    fn default() -> Self {
+        Self { min_piece_m2: 2.0, min_piece_faces: 50, plan_cell_m: 0.5, min_building_m2: 10.0 }
+    }
+}
+
+/// What is known of a building.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Building {
+    /// Its number in the meshes.
+    pub building: u32,
+    /// The group that trained most of it.
+    pub group: u32,
+    /// Triangles.
+    pub faces: usize,
+    /// Surface, square metres (of scenes of unknown scale: as [`Lengths`] says).
+    pub area_m2: f64,
+    /// From its lowest to its highest vertex along the up axis, metres.
+    pub height_m: f64,
+}
+
+/// The city and its buildings.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Merged {
+    /// Everything.
+    pub city: Mesh,
+    /// Building surface only; everything where no masks say what a building is.
+    pub buildings: Mesh,
+    /// By number; empty where no masks say what a building is.
+    pub list: Vec<Building>,
+}
+
+impl Artifact for Merged {
+    const FORMAT: &'static str = "pgsag-city";
+    const VERSION: u32 = 1;
+
+    fn read(folder: &Path) -> Result<Self> {
+        Ok(Self {
+            city: read_surface(&folder.join("city.ply"))?,
+            buildings: read_surface(&folder.join("buildings.ply"))?,
+            list: read_json(&folder.join("buildings.json"))?,
+        })
+    }
+
+    fn write(&self, folder: &Path) -> Result<()> {
+        write_surface(&folder.join("city.ply"), &self.city, &[])?;
+        write_surface(&folder.join("buildings.ply"), &self.buildings, &[])?;
+        std::fs::create_dir(folder.join("buildings"))?;
+        for (number, mesh) in split_by_building(&self.buildings) {
+            write_surface(&folder.join("buildings").join(building_file(number)), &mesh, &[])?;
+        }
+        write_json(&folder.join("buildings.json"), &self.list)
+    }
+}
+
+/// The file of one building.
+#[must_use]
+pub fn building_file(number: u32) -> String {
+    format!("b{number:03}.ply")
+}
+
+pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
+    let folder = run.stage_folder("mesh");
+    let size = |name: &String| std::fs::metadata(folder.join(name).join("surface.ply")).map_or(0, |found| found.len());
+    let bytes: u64 = run.finished_jobs("mesh")?.iter().map(size).sum();
+    let cost = Cost { memory_bytes: (64 << 20) + 10 * bytes, disk_bytes: 3 * bytes, cpu_secs: bytes as f64 * 50e-9 };
+    Ok(JobPlan::whole(&["import", "group", "mesh"], cost))
+}
+
+pub(crate) fn run(job: &Job<'_>) -> Result<()> {
+    let config = config(job.run)?;
+    let imported: Imported = job.read("import")?;
+    let groups: Groups = job.read("group")?;
+    let lengths = Lengths::of(&imported.scene);
+    if let Some(words) = lengths.assumption() {
+        job.warn(words);
+    }
+    let parts = job
+        .run
+        .finished_jobs("mesh")?
+        .iter()
+        .map(|name| Ok(job.read_job::<Surface>("mesh", name)?.0))
+        .collect::<Result<Vec<_>>>()?;
+    let mut city = pgsag_mesh::merge::merge(&parts);
+    drop(parts);
+    let area = Area::of(&config)?;
+    if !area.is_everything() {
+        let center = |face: usize| city.triangle(face).iter().map(|p| DVec3::from_array(*p)).sum::<DVec3>() / 3.0;
+        city = keep_faces(&city, |face| area.contains(center(face)));
+    }
+    let options = &config.buildings;
+    let crumbs =
+        ComponentOptions { min_area: lengths.square_units(options.min_piece_m2), min_faces: options.min_piece_faces };
+    let (mut city, dropped) = drop_small(&city, &crumbs);
+    if !dropped.is_empty() {
+        job.say(&format!("{} crumbs of surface were dropped", dropped.len()));
+    }
+    if city.faces.is_empty() {
+        return Err(UserError::new(
+            &config.scene,
+            "no surface was found",
+            "check the scene with `pgsag doctor`; train longer with --iterations",
+        )
+        .into());
+    }
+    if !groups.masked {
+        job.warn("no masks: buildings are not separated, buildings.ply holds the whole surface");
+        city.buildings = vec![0; city.faces.len()];
+        city.groups = vec![1; city.faces.len()];
+        return job.write(&Merged { buildings: city.clone(), city, list: Vec::new() });
+    }
+    let voxel = lattice_of(&groups.extent, &config, imported.scene.frame.metres_per_unit).voxel;
+    let cell = lengths.units(options.plan_cell_m).max(1.5 * voxel);
+    let up = imported.scene.frame.up_world;
+    number_buildings(&mut city, up, cell, lengths.square_units(options.min_building_m2))?;
+    let buildings = keep_faces(&city, |face| city.buildings[face] != 0);
+    let list =
+        split_by_building(&buildings).iter().map(|(n, mesh)| described(*n, mesh, up, &lengths)).collect::<Vec<_>>();
+    job.say(&format!("{} buildings, {} faces", list.len(), city.faces.len()));
+    if list.is_empty() {
+        job.warn("no building surface was found inside the masks");
+    }
+    job.write(&Merged { city, buildings, list })
+}
+
+/// Numbers the pieces of building surface from 1, the largest first; small ones become background.
+fn number_buildings(city: &mut Mesh, up: DVec3, cell: f64, min_area: f64) -> Result<()> {
+    if city.groups.len() != city.faces.len() {
+        bail!("faces without groups");
+    }
+    let pieces = plan_pieces(city, up, cell, |face| city.groups[face] != 0)?;
+    let mut areas: BTreeMap<u32, f64> = BTreeMap::new();
+    for (face, piece) in pieces.iter().enumerate().filter(|(_, piece)| **piece != 0) {
+        *areas.entry(*piece).or_default() += face_area(city, face);
+    }
+    let mut order: Vec<(u32, f64)> = areas.into_iter().filter(|(_, area)| *area >= min_area).collect();
+    order.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    let number: BTreeMap<u32, u32> = order.iter().zip(1..).map(|((piece, _), number)| (*piece, number)).collect();
+    city.buildings = pieces.iter().map(|piece| number.get(piece).copied().unwrap_or(0)).collect();
+    for (group, building) in city.groups.iter_mut().zip(&city.buildings) {
+        if *building == 0 {
+            *group = 0;
+        }
+    }
+    Ok(())
+}
+
+fn face_area(mesh: &Mesh, face: usize) -> f64 {
+    let [a, b, c] = mesh.triangle(face).map(DVec3::from_array);
+    0.5 * (b - a).cross(c - a).length()
+}
+
+fn described(building: u32, mesh: &Mesh, up: DVec3, lengths: &Lengths) -> Building {
+    let heights = || mesh.vertices.iter().map(|vertex| DVec3::from_array(*vertex).dot(up));
+    let span = heights().fold(f64::NEG_INFINITY, f64::max) - heights().fold(f64::INFINITY, f64::min);
+    let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
+    for group in &mesh.groups {
+        *counts.entry(*group).or_default() += 1;
+    }
+    let group = counts.iter().max_by_key(|(group, count)| (**count, u32::MAX - **group)).map_or(0, |(group, _)| *group);
+    let area: f64 = (0..mesh.faces.len()).map(|face| face_area(mesh, face)).sum();
+    Building {
+        building,
+        group,
+        faces: mesh.faces.len(),
+        area_m2: lengths.square_metres(area),
+        height_m: lengths.metres(span),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn squares(at: &[(f64, u32)]) -> Mesh {
+        let mut mesh = Mesh::default();
+        for (x, group) in at {
+            let first = mesh.vertices.len() as u32;
+            mesh.vertices.extend([[*x, 0.0, 0.0], [x + 1.0, 0.0, 0.0], [x + 1.0, 1.0, 0.0], [*x, 1.0, 0.0]]);
+            mesh.faces.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+            mesh.groups.extend([*group, *group]);
+        }
+        mesh
+    }
+
+    #[test]
+    fn the_largest_building_is_number_one_and_crumbs_are_background() {
+        let mut city = squares(&[(0.0, 1), (10.0, 1), (11.0, 1), (20.0, 0)]);
+        number_buildings(&mut city, DVec3::Z, 0.5, 0.5).expect("numbered");
+        assert_eq!(city.buildings, [2, 2, 1, 1, 1, 1, 0, 0]);
+        number_buildings(&mut city, DVec3::Z, 0.5, 1.5).expect("numbered");
+        assert_eq!(city.buildings, [0, 0, 1, 1, 1, 1, 0, 0]);
+        assert_eq!(city.groups, [0, 0, 1, 1, 1, 1, 0, 0]);
+    }
+
+    #[test]
+    fn a_description_is_in_metres() {
+        let lengths = Lengths::known(0.5);
+        let found = described(3, &squares(&[(0.0, 2)]), DVec3::X, &lengths);
+        assert_eq!((found.building, found.group, found.faces), (3, 2, 2));
+        assert!((found.area_m2 - 0.25).abs() < 1e-12 && (found.height_m - 0.5).abs() < 1e-12);
+    }
+}

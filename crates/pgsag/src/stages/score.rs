@@ -1,0 +1,149 @@
+//! `score`: the buildings against the truth, where there is one.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use pgsag_mesh::score::{Score, ScoreOptions, Truth};
+use pgsag_scene::files::ply::{Cloud, read_cloud, read_mesh};
+use pgsag_scene::{Frame, Mesh};
+
+use super::import::Imported;
+use super::mesh::read_surface;
+use super::{config, read_json, source_fingerprint, write_json};
+use crate::error::UserError;
+use crate::run::Run;
+use crate::run::artifact::{Artifact, fingerprint_file};
+use crate::run::stage::{Cost, Job, JobPlan};
+
+/// A score, if there was something to score against.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scored(pub Option<Score>);
+
+impl Artifact for Scored {
+    const FORMAT: &'static str = "pgsag-score";
+    const VERSION: u32 = 1;
+
+    fn read(folder: &Path) -> Result<Self> {
+        let path = folder.join("score.json");
+        Ok(Self(if path.exists() { Some(read_json(&path)?) } else { None }))
+    }
+
+    fn write(&self, folder: &Path) -> Result<()> {
+        self.0.as_ref().map_or(Ok(()), |score| write_json(&folder.join("score.json"), score))
+    }
+}
+
+/// A truth in memory.
+pub enum TruthFile {
+    /// Triangles.
+    Mesh(Mesh),
+    /// Points.
+    Cloud(Vec<[f64; 3]>),
+    /// `scene.ply` and `visible.ply`.
+    Folder {
+        /// All true triangles.
+        scene: Mesh,
+        /// Points on true building surfaces.
+        visible: Cloud,
+    },
+}
+
+impl TruthFile {
+    /// Reads a truth.
+    ///
+    /// # Errors
+    /// [`UserError`] or [`pgsag_scene::error::FileError`] with the file and the cure.
+    pub fn read(path: &Path) -> Result<Self> {
+        if path.is_dir() {
+            let scene = ply(&path.join("scene.ply"))?;
+            let visible = ply(&path.join("visible.ply"))?;
+            let scene = read_mesh(&scene.0, &scene.1)?;
+            return Ok(Self::Folder { scene, visible: read_cloud(&visible.0, &visible.1)? });
+        }
+        let (file, bytes) = ply(path)?;
+        let mesh = read_mesh(&file, &bytes);
+        Ok(match mesh {
+            Ok(mesh) if !mesh.faces.is_empty() => Self::Mesh(mesh),
+            _ => Self::Cloud(read_cloud(&file, &bytes)?.positions),
+        })
+    }
+
+    /// As the library wants it.
+    #[must_use]
+    pub fn as_truth(&self) -> Truth<'_> {
+        match self {
+            Self::Mesh(mesh) => Truth::Mesh(mesh),
+            Self::Cloud(points) => Truth::Cloud(points),
+            Self::Folder { scene, visible } => {
+                let building = visible.attribute("building").unwrap_or_default();
+                Truth::Folder { scene, visible: &visible.positions, building }
+            }
+        }
+    }
+}
+
+fn ply(path: &Path) -> Result<(String, Vec<u8>)> {
+    let bytes = std::fs::read(path).map_err(|error| {
+        UserError::at(
+            path,
+            format!("cannot be read ({error})"),
+            "give a PLY file, or a folder with scene.ply and visible.ply",
+        )
+    })?;
+    Ok((path.display().to_string(), bytes))
+}
+
+/// Scores a mesh file and says what was judged.
+///
+/// # Errors
+/// A truth or mesh that cannot be judged.
+pub fn score_file(mesh: &Path, truth: &Path, options: &ScoreOptions) -> Result<Score> {
+    let surface = read_surface(mesh)?;
+    let read = TruthFile::read(truth)?;
+    let mut score = pgsag_mesh::score::score(&surface, &read.as_truth(), options)
+        .map_err(|error| UserError::at(truth, error.to_string(), "see `pgsag score --help`"))?;
+    score.inputs.insert("mesh".into(), fingerprint_file(mesh)?);
+    score.inputs.insert("truth".into(), source_fingerprint(truth)?);
+    Ok(score)
+}
+
+/// Options in the frame of a scene.
+#[must_use]
+pub fn in_frame(options: &ScoreOptions, frame: &Frame) -> ScoreOptions {
+    let up = frame.up_world.to_array();
+    ScoreOptions { metres_per_unit: frame.metres_per_unit.unwrap_or(1.0), up, ..options.clone() }
+}
+
+pub(crate) fn sources(run: &Run) -> Result<Vec<(String, String)>> {
+    let truth = config(run)?.truth;
+    Ok(if truth.is_empty() { Vec::new() } else { vec![("truth".into(), source_fingerprint(Path::new(&truth))?)] })
+}
+
+pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
+    let bytes = std::fs::metadata(run.stage_folder("merge").join("buildings.ply")).map_or(0, |found| found.len());
+    let is_asked = !config(run)?.truth.is_empty();
+    let cost = if is_asked {
+        Cost { memory_bytes: (128 << 20) + 16 * bytes, disk_bytes: 1 << 16, cpu_secs: 5.0 + bytes as f64 * 1e-6 }
+    } else {
+        Cost::default()
+    };
+    Ok(JobPlan::whole(&["import", "merge"], cost))
+}
+
+pub(crate) fn run(job: &Job<'_>) -> Result<()> {
+    let config = config(job.run)?;
+    if config.truth.is_empty() {
+        return job.write(&Scored(None));
+    }
+    let imported: Imported = job.read("import")?;
+    if imported.scene.frame.metres_per_unit.is_none() {
+        job.warn("the scale is unknown: thresholds count in scene units");
+    }
+    let options = ScoreOptions { seed: config.seed, ..in_frame(&config.score, &imported.scene.frame) };
+    let score =
+        score_file(&job.input("merge").join("buildings.ply"), Path::new(&config.truth), &options).context("score")?;
+    for note in &score.notes {
+        job.warn(note.clone());
+    }
+    job.write(&Scored(Some(score)))
+}

@@ -1,0 +1,315 @@
+//! `train`: planar Gaussians of one group.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result};
+use pgsag_group::{Group, GroupKind};
+use pgsag_scene::{Mask, View};
+use pgsag_splat::SplatCloud;
+use pgsag_splat::backend::{Backend, Exposure, OptimizerState, TrainingView, ViewCamera};
+use pgsag_splat::train::{
+    Checkpoint, Neighbor, Progress, TrainError, TrainOptions, Trainer, ViewSource, evaluate_view, initialise,
+    neighbors_of,
+};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::cloud::{read_cloud, write_cloud};
+use super::coarse::Coarse;
+use super::group::{group_names, group_of, is_held_out};
+use super::import::Imported;
+use super::refine::classes_of;
+use super::{config, read_json, view_camera, write_json};
+use crate::config::Config;
+use crate::engine;
+use crate::photographs::Photographs;
+use crate::run::Run;
+use crate::run::artifact::Artifact;
+use crate::run::stage::{Cost, Job, JobPlan, LiveLog};
+
+/// Between two checkpoints: the most work that a kill can lose.
+const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(120);
+/// Steps between two lines of the live log.
+const LOG_INTERVAL: u32 = 100;
+/// Bytes per Gaussian in training: parameters, gradients, moments, statistics and a share of the tile lists.
+const BYTES_PER_GAUSSIAN: u64 = 2200;
+/// Bytes per pixel of a view in training: maps and their gradients, for the view and its neighbour.
+const BYTES_PER_PIXEL: u64 = 400;
+
+/// A trained group.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trained {
+    /// The Gaussians.
+    pub cloud: SplatCloud,
+    /// What else is known.
+    pub summary: Summary,
+}
+
+/// What training a group came to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Degree of harmonics in use.
+    pub sh_degree: u8,
+    /// Median depth, scene units.
+    pub scene_scale: f32,
+    /// Steps.
+    pub iterations: u32,
+    /// Gaussians at the end.
+    pub gaussians: usize,
+    /// View index, gain and bias per channel.
+    pub exposures: Vec<(u32, [f32; 3], [f32; 3])>,
+    /// How well images that were kept out are predicted.
+    pub held_out: Vec<HeldOut>,
+}
+
+/// One image that was kept out of training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HeldOut {
+    /// Index of the view.
+    pub view_index: usize,
+    /// Decibels over the active pixels, exposure fitted.
+    pub psnr: f64,
+    /// Structural similarity over the same.
+    pub ssim: f64,
+    /// Pixels compared.
+    pub pixels: usize,
+}
+
+impl Artifact for Trained {
+    const FORMAT: &'static str = "pgsag-cloud";
+    const VERSION: u32 = 1;
+
+    fn read(folder: &Path) -> Result<Self> {
+        Ok(Self { cloud: read_cloud(&folder.join("cloud.ply"))?, summary: read_json(&folder.join("train.json"))? })
+    }
+
+    fn write(&self, folder: &Path) -> Result<()> {
+        write_cloud(&folder.join("cloud.ply"), &self.cloud)?;
+        write_json(&folder.join("train.json"), &self.summary)
+    }
+}
+
+/// The views of a group, decoded when they are needed.
+pub struct GroupViews<'a> {
+    /// The group.
+    pub group: &'a Group,
+    views: &'a [View],
+    photographs: &'a Photographs,
+    classes: std::path::PathBuf,
+}
+
+impl<'a> GroupViews<'a> {
+    /// The views of `group` in a run.
+    #[must_use]
+    pub fn new(group: &'a Group, views: &'a [View], photographs: &'a Photographs, job: &Job<'_>) -> Self {
+        Self { group, views, photographs, classes: job.input("refine") }
+    }
+
+    /// Camera of a window of any view of the scene, about the group's origin.
+    #[must_use]
+    pub fn camera_of(&self, view_index: usize, window_px: [u32; 4]) -> ViewCamera {
+        let camera = self.photographs.camera(view_index);
+        view_camera(&self.views[view_index], &camera, window_px, self.group.origin_world)
+    }
+
+    /// Pixel classes of a window of any view of the scene, for this group.
+    ///
+    /// # Errors
+    /// Where the raster is damaged.
+    pub fn mask_of(&self, view_index: usize, window_px: [u32; 4]) -> Result<Option<Mask>> {
+        let [x0, y0, width, height] = window_px;
+        let mask = classes_of(&self.classes, view_index, self.group.id.kind)?;
+        Ok(mask.map(|mask| mask.cropped(x0, y0, width, height)))
+    }
+
+    /// A window of any view of the scene, ready for training or comparison.
+    ///
+    /// # Errors
+    /// Where photograph or mask cannot be read.
+    pub fn training_view(&self, view_index: usize, window_px: [u32; 4]) -> Result<TrainingView> {
+        let image = self.photographs.window(view_index, window_px)?;
+        Ok(TrainingView {
+            camera: self.camera_of(view_index, window_px),
+            image: Arc::unwrap_or_clone(image),
+            mask: self.mask_of(view_index, window_px)?,
+            inner_edges: None,
+        })
+    }
+}
+
+impl ViewSource for GroupViews<'_> {
+    fn len(&self) -> usize {
+        self.group.views.len()
+    }
+
+    fn camera(&self, index: usize) -> ViewCamera {
+        let view = &self.group.views[index];
+        self.camera_of(view.view_index as usize, view.window_px)
+    }
+
+    fn view(&self, index: usize) -> Result<Arc<TrainingView>, TrainError> {
+        let view = &self.group.views[index];
+        let name = &self.views[view.view_index as usize].name;
+        self.training_view(view.view_index as usize, view.window_px)
+            .map(Arc::new)
+            .map_err(|error| TrainError::View { view: index, reason: format!("{name}: {error:#}") })
+    }
+}
+
+pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
+    let config = config(run)?;
+    let folder = run.stage_folder("group");
+    let names = group_names(&folder)?;
+    let plan = |name: String| -> Result<JobPlan> {
+        let group = group_of(&folder, &name)?;
+        let pixels = |count: fn(&pgsag_group::GroupView) -> u64| group.views.iter().map(count).max().unwrap_or(0);
+        let window = pixels(|view| u64::from(view.window_px[2]) * u64::from(view.window_px[3]));
+        let active =
+            group.views.iter().map(|view| view.active_count).sum::<u64>() as f64 / group.views.len().max(1) as f64;
+        let gaussians = expected_gaussians(&group, &config);
+        let cost = Cost {
+            memory_bytes: (128 << 20) + gaussians * BYTES_PER_GAUSSIAN + window * BYTES_PER_PIXEL,
+            disk_bytes: gaussians * 180,
+            cpu_secs: f64::from(config.train.iterations) * (active * 1.2e-6 + gaussians as f64 * 1.5e-6),
+        };
+        let inputs = vec![("import", None), ("coarse", None), ("refine", None), ("group", Some(name.clone()))];
+        Ok(JobPlan { name, inputs, cost })
+    };
+    names.into_iter().map(plan).collect()
+}
+
+/// Training grows a group to a few times its points, never beyond what density control allows.
+fn expected_gaussians(group: &Group, config: &Config) -> u64 {
+    let active: u64 = group.views.iter().map(|view| view.active_count).sum();
+    let surface = active / (3 * group.views.len().max(1) as u64);
+    (6 * group.points.len() as u64).max(surface).min(config.train.density.max_gaussians as u64)
+}
+
+pub(crate) fn run(job: &Job<'_>) -> Result<()> {
+    let config = config(job.run)?;
+    let imported: Imported = job.read("import")?;
+    let coarse: Coarse = job.read("coarse")?;
+    let group = group_of(&job.input("group"), &job.name)?;
+    let view_indices: Vec<u32> = group.views.iter().map(|view| view.view_index).collect();
+    let neighbors = neighbors_of(&imported.scene, &view_indices, &config.neighbors);
+    if neighbors.iter().any(Vec::is_empty) {
+        let lonely = neighbors.iter().filter(|list| list.is_empty()).count();
+        job.warn(format!("{lonely} images have no neighbour to compare with"));
+    }
+    let photographs = Photographs::new(&imported, &config, job, job.memory_bytes / 5);
+    let views = GroupViews::new(&group, &imported.scene.views, &photographs, job);
+    let points: Vec<_> = group.points.iter().map(|index| coarse.initial_point(*index as usize)).collect();
+    let cloud = initialise(&points, group.origin_world, &config.initialise)?;
+    let options = TrainOptions { view_cache_bytes: job.memory_bytes / 5, ..config.train.clone() };
+    let work = Train { job, views, neighbors, cloud, options, holdout: config.holdout };
+    let trained = engine::run(&config.device, &config.simd, work)?;
+    job.write(&trained)
+}
+
+struct Train<'a, 'j> {
+    job: &'a Job<'j>,
+    views: GroupViews<'a>,
+    neighbors: Vec<Vec<Neighbor>>,
+    cloud: SplatCloud,
+    options: TrainOptions,
+    holdout: u32,
+}
+
+impl engine::Work for Train<'_, '_> {
+    type Output = Trained;
+
+    fn on<B: Backend>(self, backend: &B) -> Result<Trained> {
+        let job = self.job;
+        let resumed = job.checkpoint().and_then(|found| Checkpoint::from_bytes(&found.state).ok());
+        let start = resumed.as_ref().map_or(0, Checkpoint::iteration);
+        let mut log = job.log(start.into())?;
+        let mut trainer = match resumed {
+            Some(state) => {
+                job.say(&format!("goes on from step {start}"));
+                Trainer::resume(backend, &self.views, self.neighbors, self.options, &state)?
+            }
+            None => Trainer::new(backend, &self.views, self.neighbors, self.cloud, self.options, job.seed())?,
+        };
+        while !trainer.is_done() {
+            learn(job, &mut trainer, &mut log)?;
+            if !trainer.is_done() {
+                let state = trainer.checkpoint()?;
+                job.save(state.iteration().into(), &state.to_bytes())?;
+                job.check()?;
+            }
+        }
+        let (sh_degree, scene_scale, iterations) = (trainer.sh_degree(), trainer.scene_scale(), trainer.iteration());
+        let (cloud, exposures) = trainer.finish()?;
+        let indices = self.views.group.views.iter().map(|view| view.view_index);
+        let exposures = indices.zip(&exposures).map(|(view, Exposure { gain, bias })| (view, *gain, *bias)).collect();
+        let held_out = evaluate(job, backend, &self.views, &cloud, sh_degree, self.holdout)?;
+        let summary = Summary { sh_degree, scene_scale, iterations, gaussians: cloud.len(), exposures, held_out };
+        Ok(Trained { cloud, summary })
+    }
+}
+
+/// Trains until a checkpoint is due, the job is stopped, or all is done.
+fn learn<B: Backend>(job: &Job<'_>, trainer: &mut Trainer<'_, B>, log: &mut LiveLog) -> Result<()> {
+    let due = Instant::now() + CHECKPOINT_INTERVAL;
+    let mut failure = None;
+    trainer.run(u32::MAX, &mut |progress| {
+        if progress.iteration.is_multiple_of(LOG_INTERVAL) || progress.iteration == progress.iterations {
+            if let Err(error) = log.line(&log_line(progress)) {
+                failure = Some(error);
+                return ControlFlow::Break(());
+            }
+        }
+        job.advance(progress.iteration.into(), progress.iterations.into(), "steps");
+        if job.is_cancelled() || Instant::now() >= due { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })?;
+    failure.map_or(Ok(()), Err)
+}
+
+fn log_line(progress: &Progress) -> Value {
+    let values = &progress.values;
+    json!({
+        "iteration": progress.iteration, "seconds": progress.seconds, "gaussians": progress.gaussians,
+        "loss": values.total, "l1": values.l1, "dssim": values.dssim, "flatness": values.flatness,
+        "normal": values.normal, "geometric": values.geometric, "geometric_valid": values.geometric_valid,
+        "ncc": values.ncc, "load": values.load, "free_opacity": values.free_opacity,
+    })
+}
+
+/// Renders the views that were kept out and compares.
+fn evaluate<B: Backend>(
+    job: &Job<'_>,
+    backend: &B,
+    views: &GroupViews<'_>,
+    cloud: &SplatCloud,
+    sh_degree: u8,
+    holdout: u32,
+) -> Result<Vec<HeldOut>> {
+    let on_device = backend.upload(&OptimizerState::fresh(cloud.clone()))?;
+    let mut found = Vec::new();
+    for view_index in (0..views.views.len()).filter(|view| is_held_out(*view, holdout)) {
+        job.check()?;
+        let camera = views.photographs.camera(view_index);
+        let view = views.training_view(view_index, [0, 0, camera.width, camera.height])?;
+        if view.mask.is_none() && views.group.id.kind == GroupKind::Building && views.has_masks() {
+            continue;
+        }
+        let metrics = evaluate_view(backend, &on_device, &view, sh_degree, true)
+            .with_context(|| views.views[view_index].name.clone())?;
+        if metrics.pixels > 0 {
+            found.push(HeldOut { view_index, psnr: metrics.psnr, ssim: metrics.ssim, pixels: metrics.pixels });
+        }
+    }
+    Ok(found)
+}
+
+impl GroupViews<'_> {
+    /// Whether this run has masks at all; without, a building group is the whole scene.
+    fn has_masks(&self) -> bool {
+        self.group.views.iter().any(|view| {
+            classes_of(&self.classes, view.view_index as usize, self.group.id.kind).is_ok_and(|mask| mask.is_some())
+        })
+    }
+}
