@@ -49,7 +49,7 @@ impl TinyTown {
 
     fn neighbors(&self) -> Vec<Vec<pgsag_splat::train::Neighbor>> {
         let all: Vec<u32> = (0..self.photographs.len() as u32).collect();
-        neighbors_of(&self.town.scene, &all, &NeighborOptions { min_shared: 20, ..NeighborOptions::default() })
+        neighbors_of(&self.town.scene, &all, &NeighborOptions::default())
     }
 
     /// PSNR of a view in decibels, and the median depth error there in ground sampling distances.

@@ -25,11 +25,7 @@ fn main() -> Result<(), Failure> {
     let (train, held_out) = all.split(8);
     let points = if arguments.stereo { all.stereo_points(&train.indices) } else { all.sparse_points() };
     let cloud = initialise(&points, all.origin(), &InitialiseOptions::default())?;
-    let neighbors = neighbors_of(
-        &all.town.scene,
-        &train.indices,
-        &NeighborOptions { min_shared: 20, ..NeighborOptions::default() },
-    );
+    let neighbors = neighbors_of(&all.town.scene, &train.indices, &NeighborOptions::default());
     println!(
         "{} views, {} held out, {} points, {} Gaussians, {:.1} neighbours per view, {:.1} s",
         train.indices.len(),

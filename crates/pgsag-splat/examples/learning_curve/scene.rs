@@ -114,7 +114,7 @@ impl TownViews {
                 StereoView::new(view.camera, view.camera_from_world, &self.photographs[*i as usize].image)
             })
             .collect();
-        let neighbors = neighbors_of(scene, indices, &NeighborOptions { min_shared: 20, ..NeighborOptions::default() });
+        let neighbors = neighbors_of(scene, indices, &NeighborOptions::default());
         let depths: Vec<_> = (0..views.len())
             .map(|position| {
                 let seeds = self.seeds(indices[position]);

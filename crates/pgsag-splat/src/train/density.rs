@@ -73,6 +73,14 @@ impl Default for DensityOptions {
     }
 }
 
+/// Parameters, gradients and two moments of a Gaussian with these harmonics, and its share of a render, bytes.
+#[must_use]
+pub fn bytes_per_gaussian(sh_degree: u8) -> u64 {
+    let parameters = 11 + 3 * (u64::from(sh_degree) + 1).pow(2);
+    // Two renders are held at a time: records, pairs and their sums.
+    4 * 4 * parameters + 2 * 1024
+}
+
 /// What a decision looks at.
 #[derive(Clone, Copy, Debug)]
 pub struct DensityInput<'a> {

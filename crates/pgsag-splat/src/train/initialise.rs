@@ -42,6 +42,14 @@ impl Default for InitialiseOptions {
     }
 }
 
+impl InitialiseOptions {
+    /// 3DGS's start: third-degree harmonics, round Gaussians.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self { sh_degree: 3, estimate_normals: false, ..Self::default() }
+    }
+}
+
 /// Neighbours through which a plane is laid.
 const PLANE_NEIGHBORS: usize = 10;
 /// Degree-0 basis function, method.md 1.1.

@@ -52,25 +52,34 @@ impl Default for NeighborOptions {
 /// Longer tracks are thinned evenly to this many views, so that work stays linear in the observations.
 const MAX_TRACK: usize = 32;
 
-/// Neighbours of each view of `view_indices` (indices into `Scene::views`), best first. Views that share too few
-/// points with any other fall back to optical axis and distance.
+/// Neighbours of each view of `view_indices` (indices into `Scene::views`), best first. Views that share too few points
+/// with any other are content with a quarter of them, and then with optical axis and distance.
 #[must_use]
 pub fn neighbors_of(scene: &Scene, view_indices: &[u32], options: &NeighborOptions) -> Vec<Vec<Neighbor>> {
     let shared = shared_points(scene, view_indices, options);
-    let mut lists = vec![Vec::new(); view_indices.len()];
-    for (&(a, b), pair) in &shared {
-        if pair.count >= options.min_shared {
-            lists[a as usize].push(Neighbor { view: b, score: pair.score });
-            lists[b as usize].push(Neighbor { view: a, score: pair.score });
-        }
-    }
+    let mut lists = by_shared(&shared, view_indices.len(), options.min_shared);
+    let poor = by_shared(&shared, view_indices.len(), (options.min_shared / 4).max(1));
     let depth = scene.median_depth();
-    for (position, list) in lists.iter_mut().enumerate() {
+    for (position, (list, poor)) in lists.iter_mut().zip(poor).enumerate() {
+        if list.is_empty() {
+            *list = poor;
+        }
         if list.is_empty() {
             *list = by_pose(scene, view_indices, position, depth, options);
         }
         list.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.view.cmp(&b.view)));
         list.truncate(options.count as usize);
+    }
+    lists
+}
+
+fn by_shared(shared: &BTreeMap<(u32, u32), Pair>, count: usize, min_shared: u32) -> Vec<Vec<Neighbor>> {
+    let mut lists = vec![Vec::new(); count];
+    for (&(a, b), pair) in shared {
+        if pair.count >= min_shared {
+            lists[a as usize].push(Neighbor { view: b, score: pair.score });
+            lists[b as usize].push(Neighbor { view: a, score: pair.score });
+        }
     }
     lists
 }

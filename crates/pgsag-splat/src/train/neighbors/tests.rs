@@ -71,3 +71,13 @@ fn resolutions_that_differ_too_much_do_not_pair() {
     scene.views[1].camera.fy = 500.0;
     assert!(shared_points(&scene, &[0, 1], &NeighborOptions::default()).is_empty());
 }
+
+#[test]
+fn a_view_that_shares_little_is_content_with_less() {
+    let scene = strip(&[0.0, 1.76], true);
+    let shared = shared_points(&scene, &[0, 1], &NeighborOptions::default())[&(0, 1)].count;
+    let found =
+        |min_shared| neighbors_of(&scene, &[0, 1], &NeighborOptions { min_shared, ..NeighborOptions::default() });
+    assert_eq!(found(shared), found(4 * shared));
+    assert_ne!(found(shared)[0][0].score, found(8 * shared)[0][0].score, "by pose");
+}
