@@ -65,17 +65,18 @@ pub struct Cpu {
     level: Level,
     cuts: Cuts,
     pool: Arc<Pool>,
-    scratch: Mutex<Scratch>,
+    scratch: Mutex<Vec<Scratch>>,
+    whole: Mutex<Option<Arc<Layout>>>,
     probe: Option<Probe>,
 }
 
-/// Buffers between calls.
+/// Buffers between calls. Taken out of their lock while in use: a thread that waits inside a call may be given
+/// another call to run.
 #[derive(Default)]
 struct Scratch {
     rows: [Rows; 2],
     sums: Vec<lanes::Line>,
     plain: Vec<[f32; 2]>,
-    whole: Option<Arc<Layout>>,
 }
 
 impl fmt::Debug for Cpu {
@@ -109,7 +110,7 @@ impl Cpu {
             alpha_log2: libm::log2f(options.limits.alpha_cut).max(-100.0),
             stop: options.limits.transmittance_stop,
         };
-        Ok(Self { level, cuts, pool: Arc::default(), scratch: Mutex::default(), probe: None })
+        Ok(Self { level, cuts, pool: Arc::default(), scratch: Mutex::default(), whole: Mutex::default(), probe: None })
     }
 
     /// The same, telling `probe` when phases end: for benchmarks.
@@ -125,8 +126,12 @@ impl Cpu {
         }
     }
 
-    fn scratch(&self) -> std::sync::MutexGuard<'_, Scratch> {
-        self.scratch.lock().unwrap_or_else(PoisonError::into_inner)
+    fn take_scratch(&self) -> Scratch {
+        self.scratch.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    }
+
+    fn give_scratch(&self, scratch: Scratch) {
+        self.scratch.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
     }
 
     fn buffers(&self) -> Buffers {
@@ -146,8 +151,8 @@ impl Cpu {
             }
             return Ok(Arc::clone(layout));
         }
-        let whole = &mut self.scratch().whole;
-        match whole {
+        let mut whole = self.whole.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*whole {
             Some(layout) if (layout.width, layout.height) == (width, height) => Ok(Arc::clone(layout)),
             _ => Ok(Arc::clone(whole.insert(Arc::new(Layout::new(width, height, |_, _| true))))),
         }
@@ -175,7 +180,7 @@ impl Cpu {
     }
 
     fn back(&self, cloud: &mut CpuCloud, render: &CpuRender, averaged_pixels: usize, accumulate: bool) {
-        let scratch = &mut *self.scratch();
+        let mut scratch = self.take_scratch();
         render.unblend(self.level, &mut scratch.sums, &mut scratch.plain);
         self.phase("backward");
         let sums = Sums {
@@ -193,6 +198,7 @@ impl Cpu {
             averaged_pixels: render.options.statistics.then_some(averaged_pixels as f32),
         };
         gradients(self.level, cloud, &sums, &back);
+        self.give_scratch(scratch);
         self.phase("gradient");
     }
 }
@@ -289,7 +295,8 @@ impl Backend for Cpu {
         if sample.weights.flatness != 0.0 {
             (flatness, share) = self.flatness(cloud, sample.render, sample.scene_scale);
         }
-        let [rows, neighbor_rows] = &mut self.scratch().rows;
+        let mut scratch = self.take_scratch();
+        let [rows, neighbor_rows] = &mut scratch.rows;
         rows.fill(sample.render);
         let neighbor = sample.neighbor.as_ref().map(|(view, render)| {
             neighbor_rows.fill(render);
@@ -304,6 +311,7 @@ impl Backend for Cpu {
             flatness,
             seed: sample.seed,
         });
+        self.give_scratch(scratch);
         self.phase("losses");
         if !result.values.total.is_finite() {
             return Err(BackendError::NotFinite("the loss"));
