@@ -58,6 +58,9 @@ pub(crate) struct Upstream<'a> {
     pub(crate) blocks: &'a [u16],
 }
 
+/// Records that are fetched at a time: they lie anywhere, and together their latencies overlap.
+const BATCH: usize = 64;
+
 /// What the walk keeps per block: transmittance and the rest, and copies of the rest of the upstream planes.
 struct State<const P: usize> {
     light: [Line; BLOCKS],
@@ -79,11 +82,17 @@ pub(crate) fn unblend<S: Simd, const F: usize, const P: usize, const STATISTICS:
     for (to, from) in state.planes.iter_mut().zip(upstream.planes.chunks_exact(P)) {
         to.copy_from_slice(from);
     }
-    for (pair, gaussian) in tile.gaussians.iter().enumerate() {
+    let mut batch = [Line::ZERO; BATCH];
+    for pair in 0..tile.gaussians.len() {
+        if pair % BATCH == 0 {
+            for (to, from) in batch.iter_mut().zip(&tile.gaussians[pair..]) {
+                *to = tile.records[from.load(Relaxed) as usize];
+            }
+        }
         if upstream.blocks[pair] == 0 {
             continue;
         }
-        let record = &tile.records[gaussian.load(Relaxed) as usize];
+        let record = &batch[pair % BATCH];
         let mut totals = [S::f32s::splat(simd, 0.0); 16];
         let mut plain_totals = [S::f32s::splat(simd, 0.0); 2];
         let mut bits = upstream.blocks[pair];
@@ -135,6 +144,7 @@ fn walk<S: Simd, const F: usize, const P: usize, const STATISTICS: bool, const L
     let weight = alpha * before;
     let after = before - weight;
     state.light[at.block].store(simd, at.lane, after);
+    let inverse = splat(1.0) / (splat(1.0) - alpha);
     let covered = reaches & after.simd_ge(splat(tile.cuts.stop));
     let weight = covered.select(weight, splat(0.0));
 
@@ -146,7 +156,7 @@ fn walk<S: Simd, const F: usize, const P: usize, const STATISTICS: bool, const L
     }
     let rest = planes[0].load(simd, at.lane) - weight * along;
     planes[0].store(simd, at.lane, rest);
-    let mut d_alpha = before * along - rest / (splat(1.0) - alpha);
+    let mut d_alpha = before * along - rest * inverse;
     let moves = covered & free.simd_lt(splat(ALPHA_MAX));
     let alpha = moves.select(alpha, splat(0.0));
     let mut v = alpha * d_alpha;

@@ -136,22 +136,30 @@ pub(crate) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 /// Sums of the lanes of 16 vectors: `out[i]` is the sum of `vectors[i]`, by one shuffle-add tree.
 #[inline(always)]
 pub(crate) fn sums<S: Simd>(simd: S, vectors: [S::f32s; 16], out: &mut Line) {
-    let fold = |a: S::f32s, b: S::f32s| a.unzip_low(b) + a.unzip_high(b);
-    let pairs: [S::f32s; 8] = std::array::from_fn(|i| fold(vectors[2 * i], vectors[2 * i + 1]));
-    let quads: [S::f32s; 4] = std::array::from_fn(|i| fold(pairs[2 * i], pairs[2 * i + 1]));
+    let mut quads = [vectors[0]; 4];
+    for (i, quad) in quads.iter_mut().enumerate() {
+        let (a, b) = (fold::<S>(vectors[4 * i], vectors[4 * i + 1]), fold::<S>(vectors[4 * i + 2], vectors[4 * i + 3]));
+        *quad = fold::<S>(a, b);
+    }
     if S::f32s::LEN == 4 {
-        for i in 0..4 {
-            out.store(simd, 4 * i, quads[i]);
+        for (i, quad) in quads.into_iter().enumerate() {
+            out.store(simd, 4 * i, quad);
         }
         return;
     }
-    let octets: [S::f32s; 2] = std::array::from_fn(|i| fold(quads[2 * i], quads[2 * i + 1]));
+    let (low, high) = (fold::<S>(quads[0], quads[1]), fold::<S>(quads[2], quads[3]));
     if S::f32s::LEN == 8 {
-        out.store(simd, 0, octets[0]);
-        out.store(simd, 8, octets[1]);
+        out.store(simd, 0, low);
+        out.store(simd, 8, high);
     } else {
-        out.store(simd, 0, fold(octets[0], octets[1]));
+        out.store(simd, 0, fold::<S>(low, high));
     }
+}
+
+/// Sums of neighbouring lanes: those of `a`, then those of `b`.
+#[inline(always)]
+fn fold<S: Simd>(a: S::f32s, b: S::f32s) -> S::f32s {
+    a.unzip_low(b) + a.unzip_high(b)
 }
 
 /// Columns and rows of the pixel centres of a block's 16 lanes, relative to its corner.
