@@ -2,7 +2,7 @@
 //!
 //! The pairs of a Gaussian are added in their fixed order, so the result does not depend on threads.
 
-use std::{array::from_fn, sync::atomic::Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
 
 use fearless_simd::Level;
 use rayon::prelude::*;
@@ -18,7 +18,7 @@ use super::{
 use crate::backend::ViewCamera;
 use crate::equations::{
     Number, activation,
-    algebra::{Mat3, Vec3, add, mat_vec, sub, transpose_vec},
+    algebra::{Mat3, Vec3, add, each, mat_vec, sub, transpose_vec},
     covariance, harmonics,
     plane::{distance_grad, normal, normal_axis, normal_grad},
     projection::{self, Lens},
@@ -240,11 +240,11 @@ fn group_gradients<S: Carried>(
     d_point = add(d_point, projection::screen_grad(lens, ellipses.point, [a * vx + b * vy, b * vx + c * vy]));
     let (mut d_rotation, d_scales) = covariance::covariance_grad(&ellipses.rotation, ellipses.scales, &d_covariance);
 
-    let mean: Vec3<Wide<S>> = from_fn(|k| load(plane::MEAN + k));
+    let mean: Vec3<Wide<S>> = each(|k| load(plane::MEAN + k));
     let (direction, reach) = harmonics::direction(mean, lens.eye);
     let held = coefficients(back.sh_degree, load);
     let rgb = harmonics::color(&held, direction, back.sh_degree);
-    let d_rgb = from_fn(|k| total(sum::FEATURES + k));
+    let d_rgb = each(|k| total(sum::FEATURES + k));
     let (d_held, d_direction) = harmonics::color_grad(&held, direction, back.sh_degree, rgb, d_rgb);
     let mut d_mean = harmonics::direction_grad(direction, reach, d_direction);
     for l in 0..harmonics::basis_count(back.sh_degree) {
@@ -253,7 +253,7 @@ fn group_gradients<S: Carried>(
         }
     }
     if back.planes {
-        let d_planes = from_fn(|k| total(sum::FEATURES + 3 + k));
+        let d_planes = each(|k| total(sum::FEATURES + 3 + k));
         d_point = add(d_point, plane_gradients(lens, &ellipses, sub(lens.eye, mean), d_planes, &mut d_rotation));
     }
     d_mean = add(d_mean, projection::to_camera_grad(lens, d_point));

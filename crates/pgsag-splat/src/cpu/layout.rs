@@ -90,17 +90,19 @@ impl Layout {
         at(x1 + 1, y1 + 1) + at(x0, y0) > at(x0, y1 + 1) + at(x1 + 1, y0)
     }
 
-    /// Calls `visit(pixel, tile slot, block, lane)` for every drawn pixel of a tile slot; `pixel` is row-major.
-    pub(crate) fn each_pixel(&self, slot: usize, mut visit: impl FnMut(usize, usize, usize)) {
+    /// Calls `visit(pixel, block, lane, bits)` for every row of four pixels of a tile slot that has a drawn pixel:
+    /// the first pixel (row-major) and its lane, and one bit per drawn pixel.
+    #[inline(always)]
+    pub(crate) fn each_run(&self, slot: usize, mut visit: impl FnMut(usize, usize, usize, u16)) {
         let (x0, y0) = self.corner(self.tiles[slot]);
         for (block, &bits) in self.drawn[slot].iter().enumerate() {
             let (bx, by) = ((block % (TILE / BLOCK)) * BLOCK, (block / (TILE / BLOCK)) * BLOCK);
             let corner = (y0 as usize + by) * self.width as usize + x0 as usize + bx;
-            let mut rest = bits;
-            while rest != 0 {
-                let lane = rest.trailing_zeros() as usize;
-                rest &= rest - 1;
-                visit(corner + lane / BLOCK * self.width as usize + lane % BLOCK, block, lane);
+            for row in 0..BLOCK {
+                let bits = bits >> (row * BLOCK) & ((1 << BLOCK) - 1);
+                if bits != 0 {
+                    visit(corner + row * self.width as usize, block, row * BLOCK, bits);
+                }
             }
         }
     }
@@ -116,12 +118,7 @@ pub(crate) fn block_corner(block: usize) -> (f32, f32) {
     ((block % (TILE / BLOCK) * BLOCK) as f32, (block / (TILE / BLOCK) * BLOCK) as f32)
 }
 
-/// One plane (a [`Line`] per block) of every block of a tile: `planes` lines to a block.
-pub(crate) fn tile_lines(planes: usize) -> usize {
-    BLOCKS * planes
-}
-
-/// Lines of one tile among those of all drawn tiles.
+/// Lines of one tile among those of all drawn tiles; `planes` lines to a block.
 pub(crate) fn of_tile(lines: &[Line], slot: usize, planes: usize) -> &[Line] {
-    &lines[slot * tile_lines(planes)..(slot + 1) * tile_lines(planes)]
+    &lines[slot * BLOCKS * planes..(slot + 1) * BLOCKS * planes]
 }

@@ -4,8 +4,8 @@ use rayon::prelude::*;
 
 use super::{
     backward::LEADING_PLANES,
-    lanes::{BLOCKS, Line, TILE},
-    layout::of_tile,
+    lanes::{BLOCK, BLOCKS, LANES, Line, TILE},
+    layout::{Layout, of_tile},
     render::CpuRender,
 };
 use crate::losses::{MapGradients, RenderedMaps};
@@ -23,18 +23,15 @@ pub(crate) struct Rows {
 impl Rows {
     /// Reads a render.
     pub(crate) fn fill(&mut self, render: &CpuRender) {
-        let features = render.features();
-        let line = |slot: usize, block: usize, plane: usize| {
-            &of_tile(&render.buffers.planes, slot, features + 1)[block * (features + 1) + plane]
-        };
-        let color = |slot, block, lane: usize| std::array::from_fn(|k| line(slot, block, k).0[lane]);
-        let normal = |slot, block, lane: usize| std::array::from_fn(|k| line(slot, block, 3 + k).0[lane]);
-        rows(render, true, &mut self.color, color);
-        rows(render, render.options.planes, &mut self.normal, normal);
-        rows(render, render.options.planes, &mut self.distance, |slot, block, lane| line(slot, block, 6).0[lane]);
-        rows(render, true, &mut self.opacity, |slot, block, lane| line(slot, block, features).0[lane]);
-        let load = &render.buffers.load;
-        rows(render, render.options.load, &mut self.load, |slot, block, lane| load[slot * BLOCKS + block].0[lane]);
+        let planes = render.options.planes;
+        let stride = render.features() + 1;
+        let drawn = |plane: usize| Source { lines: &render.buffers.planes, stride, plane };
+        let load = Source { lines: &render.buffers.load, stride: 1, plane: 0 };
+        rows(&render.layout, Some(drawn(0)), &mut self.color, |rgb: [f32; 3]| rgb);
+        rows(&render.layout, planes.then(|| drawn(3)), &mut self.normal, |normal: [f32; 3]| normal);
+        rows(&render.layout, planes.then(|| drawn(6)), &mut self.distance, |[distance]: [f32; 1]| distance);
+        rows(&render.layout, Some(drawn(stride - 1)), &mut self.opacity, |[opacity]: [f32; 1]| opacity);
+        rows(&render.layout, render.options.load.then_some(load), &mut self.load, |[load]: [f32; 1]| load);
     }
 
     /// As the losses want them.
@@ -49,25 +46,39 @@ impl Rows {
     }
 }
 
-/// Fills one map from `at(tile slot, block, lane)`; empties it if it is not `wanted`.
-fn rows<T: Copy + Default + Send>(
-    render: &CpuRender,
-    wanted: bool,
+/// Planes of a block-ordered map: `stride` lines to a block, those from `plane` on are meant.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    lines: &'a [Line],
+    stride: usize,
+    plane: usize,
+}
+
+/// Fills one map from `N` planes; empties it if there is no source.
+fn rows<T: Copy + Default + Send, const N: usize>(
+    layout: &Layout,
+    source: Option<Source<'_>>,
     map: &mut Vec<T>,
-    at: impl Fn(usize, usize, usize) -> T + Sync,
+    make: impl Fn([f32; N]) -> T + Sync,
 ) {
-    let layout = &render.layout;
     let (width, height) = (layout.width as usize, layout.height as usize);
-    map.clear();
-    if !wanted {
-        return;
-    }
+    let Some(source) = source else { return map.clear() };
     map.resize(width * height, T::default());
     map.par_chunks_mut(TILE * width).enumerate().for_each(|(row, band)| {
         let first = layout.tiles.partition_point(|&tile| tile < row as u32 * layout.columns);
         let end = layout.tiles.partition_point(|&tile| tile < (row as u32 + 1) * layout.columns);
+        band.fill(T::default());
         for slot in first..end {
-            layout.each_pixel(slot, |pixel, block, lane| band[pixel - row * TILE * width] = at(slot, block, lane));
+            let lines = of_tile(source.lines, slot, source.stride);
+            layout.each_run(slot, |pixel, block, lane, bits| {
+                let from = &lines[block * source.stride + source.plane..][..N];
+                let to = &mut band[pixel - row * TILE * width..];
+                for (i, to) in to.iter_mut().take(BLOCK).enumerate() {
+                    if bits >> i & 1 != 0 {
+                        *to = make(std::array::from_fn(|k| from[k].0[lane + i]));
+                    }
+                }
+            });
         }
     });
 }
@@ -82,35 +93,56 @@ pub(crate) fn take_gradients(render: &mut CpuRender, gradients: &MapGradients<f3
         && gradients.opacity.is_empty();
     let tiles = render.layout.tiles.len();
     let load = !gradients.load.is_empty();
-    render.buffers.load_gradient.clear();
     render.buffers.load_gradient.resize(if load { tiles * BLOCKS } else { 0 }, Line::ZERO);
-    render.buffers.upstream.clear();
     render.buffers.upstream.resize(if none && !load { 0 } else { tiles * BLOCKS * stride }, Line::ZERO);
     let (layout, drawn) = (&render.layout, &render.buffers.planes);
     render.buffers.upstream.par_chunks_mut(BLOCKS * stride).enumerate().for_each(|(slot, out)| {
-        let drawn = of_tile(drawn, slot, planes);
-        layout.each_pixel(slot, |pixel, block, lane| {
-            let opacity = gradients.opacity.get(pixel).copied().unwrap_or(0.0);
-            let mut put = |plane: usize, value: f32| out[block * stride + plane].0[lane] = value;
-            let mut rest = opacity * drawn[block * planes + features].0[lane];
-            put(1, opacity);
-            let mut feature = |k: usize, value: f32| {
-                put(LEADING_PLANES + k, value);
-                rest += value * drawn[block * planes + k].0[lane];
-            };
-            for (k, &value) in gradients.color.get(pixel).into_iter().flatten().enumerate() {
-                feature(k, value);
-            }
-            if features == 7 {
-                for (k, &value) in gradients.normal.get(pixel).into_iter().flatten().enumerate() {
-                    feature(3 + k, value);
+        out.fill(Line::ZERO);
+        put(layout, slot, out, (stride, 1), &gradients.opacity, |value| [value]);
+        put(layout, slot, out, (stride, LEADING_PLANES), &gradients.color, |value| value);
+        if features == 7 {
+            put(layout, slot, out, (stride, LEADING_PLANES + 3), &gradients.normal, |value| value);
+            put(layout, slot, out, (stride, LEADING_PLANES + 6), &gradients.distance, |value| [value]);
+        }
+        for (gradients, drawn) in out.chunks_exact_mut(stride).zip(of_tile(drawn, slot, planes).chunks_exact(planes)) {
+            let mut rest = Line::ZERO;
+            let opacity = (&gradients[1], &drawn[features]);
+            let features = gradients[LEADING_PLANES..].iter().zip(drawn);
+            for (gradient, value) in features.chain(std::iter::once(opacity)) {
+                for lane in 0..LANES {
+                    rest.0[lane] += gradient.0[lane] * value.0[lane];
                 }
-                feature(6, gradients.distance.get(pixel).copied().unwrap_or(0.0));
             }
-            put(0, rest);
-        });
+            gradients[0] = rest;
+        }
     });
     render.buffers.load_gradient.par_chunks_mut(BLOCKS).enumerate().for_each(|(slot, out)| {
-        layout.each_pixel(slot, |pixel, block, lane| out[block].0[lane] = gradients.load[pixel]);
+        out.fill(Line::ZERO);
+        put(layout, slot, out, (1, 0), &gradients.load, |value| [value]);
+    });
+}
+
+/// Copies one row-major map, unless it is empty, into the planes from `plane` on of a tile with `stride` lines a block.
+#[inline(always)]
+fn put<T: Copy, const N: usize>(
+    layout: &Layout,
+    slot: usize,
+    lines: &mut [Line],
+    (stride, plane): (usize, usize),
+    map: &[T],
+    split: impl Fn(T) -> [f32; N],
+) {
+    if map.is_empty() {
+        return;
+    }
+    layout.each_run(slot, |pixel, block, lane, bits| {
+        let to = &mut lines[block * stride + plane..][..N];
+        for (i, &value) in map[pixel..].iter().take(BLOCK).enumerate() {
+            if bits >> i & 1 != 0 {
+                for (line, value) in to.iter_mut().zip(split(value)) {
+                    line.0[lane + i] = value;
+                }
+            }
+        }
     });
 }

@@ -2,8 +2,6 @@
 //!
 //! First the ellipses, and which drawn tiles each touches; colours and planes only of groups that touch any.
 
-use std::array::from_fn;
-
 use fearless_simd::Level;
 use rayon::prelude::*;
 
@@ -17,7 +15,7 @@ use super::{
 use crate::backend::ViewCamera;
 use crate::equations::{
     Number, activation,
-    algebra::{Mat3, Vec3, mat_vec, sub},
+    algebra::{Mat3, Vec3, each, mat_vec, sub},
     covariance, harmonics,
     plane::{distance, normal, normal_axis},
     projection::{self, Lens},
@@ -72,11 +70,11 @@ impl<T: Number> Ellipses<T> {
     /// Of stored parameters.
     #[inline(always)]
     pub(crate) fn new(lens: &Lens<T>, at: impl Fn(usize) -> T) -> Self {
-        let quaternion = activation::unit_quaternion(from_fn(|k| at(plane::ROTATION + k)));
+        let quaternion = activation::unit_quaternion(each(|k| at(plane::ROTATION + k)));
         let rotation = covariance::rotation(quaternion.0);
-        let scales = activation::scales(from_fn(|k| at(plane::LOG_SCALE + k)));
+        let scales = activation::scales(each(|k| at(plane::LOG_SCALE + k)));
         let covariance = covariance::covariance(&rotation, scales);
-        let point = projection::to_camera(lens, from_fn(|k| at(plane::MEAN + k)));
+        let point = projection::to_camera(lens, each(|k| at(plane::MEAN + k)));
         let screen_covariance = projection::screen_covariance(lens, point, &covariance);
         let conic = projection::conic(screen_covariance);
         let opacity = activation::opacity(at(plane::OPACITY));
@@ -87,8 +85,8 @@ impl<T: Number> Ellipses<T> {
 /// The coefficients in use of a group.
 #[inline(always)]
 pub(crate) fn coefficients<T: Number>(degree: u8, at: impl Fn(usize) -> T) -> [[T; 3]; harmonics::BASIS_MAX] {
-    from_fn(|l| {
-        from_fn(|c| if l < harmonics::basis_count(degree) { at(plane::HARMONICS + 3 * l + c) } else { T::zero() })
+    each(|l| {
+        each(|c| if l < harmonics::basis_count(degree) { at(plane::HARMONICS + 3 * l + c) } else { T::zero() })
     })
 }
 
@@ -217,16 +215,16 @@ fn feature_fields<S: Carried>(
     fields: &mut [Line; 16],
 ) {
     let load = |p: usize| Wide::<S>::load(&values[p], at);
-    let mean: Vec3<Wide<S>> = from_fn(|k| load(plane::MEAN + k));
+    let mean: Vec3<Wide<S>> = each(|k| load(plane::MEAN + k));
     let (direction, _) = harmonics::direction(mean, lens.eye);
     let rgb = harmonics::color(&coefficients(projection.sh_degree, load), direction, projection.sh_degree);
     for k in 0..3 {
         rgb[k].store(&mut fields[place::FEATURES + k], at);
     }
     if projection.planes {
-        let (unit, _) = activation::unit_quaternion(from_fn(|k| load(plane::ROTATION + k)));
+        let (unit, _) = activation::unit_quaternion(each(|k| load(plane::ROTATION + k)));
         let rotation = covariance::rotation(unit);
-        let scales = activation::scales(from_fn(|k| load(plane::LOG_SCALE + k)));
+        let scales = activation::scales(each(|k| load(plane::LOG_SCALE + k)));
         let axis = normal_axis(&rotation, scales, sub(lens.eye, mean));
         let facing = mat_vec(&lens.rotation, normal(&rotation, axis));
         for k in 0..3 {

@@ -1,5 +1,6 @@
 //! From what is stored to what is meant: opacity = sigmoid, scale = exp, rotation = q / ‖q‖. 3DGS, section 5.
 
+use super::algebra::each;
 use super::number::Number;
 
 /// Opacity of a Gaussian from its logit, in (0, 1).
@@ -19,7 +20,7 @@ pub fn opacity_grad<T: Number>(opacity: T, d_opacity: T) -> T {
 ///     s = e^x
 #[inline(always)]
 pub fn scales<T: Number>(log_scales: [T; 3]) -> [T; 3] {
-    log_scales.map(T::exp)
+    each(|axis| log_scales[axis].exp())
 }
 
 /// ∂s/∂x = s
@@ -35,7 +36,7 @@ pub fn unit_quaternion<T: Number>(raw: [T; 4]) -> ([T; 4], T) {
     let square = raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2] + raw[3] * raw[3];
     let norm = square.sqrt().max(T::from_f64(1e-12));
     let inverse = T::one() / norm;
-    (raw.map(|value| value * inverse), norm)
+    (each(|k| raw[k] * inverse), norm)
 }
 
 /// ĝq = (ĝu − (ĝu · u) u) / ‖q‖
@@ -43,5 +44,5 @@ pub fn unit_quaternion<T: Number>(raw: [T; 4]) -> ([T; 4], T) {
 pub fn unit_quaternion_grad<T: Number>(unit: [T; 4], norm: T, d_unit: [T; 4]) -> [T; 4] {
     let along = d_unit[0] * unit[0] + d_unit[1] * unit[1] + d_unit[2] * unit[2] + d_unit[3] * unit[3];
     let inverse = T::one() / norm;
-    std::array::from_fn(|i| (d_unit[i] - along * unit[i]) * inverse)
+    each(|i| (d_unit[i] - along * unit[i]) * inverse)
 }

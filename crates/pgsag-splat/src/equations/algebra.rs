@@ -7,6 +7,16 @@ pub type Vec3<T> = [T; 3];
 /// `[3, 3]`, rows.
 pub type Mat3<T> = [[T; 3]; 3];
 
+/// `[f(0), f(1), …]`. Inlined for certain, unlike `std::array::from_fn`: a call would leave the vector unit.
+#[inline(always)]
+pub fn each<V: Copy, const N: usize>(mut f: impl FnMut(usize) -> V) -> [V; N] {
+    let mut out = [f(0); N];
+    for i in 1..N {
+        out[i] = f(i);
+    }
+    out
+}
+
 /// a · b
 #[inline(always)]
 pub fn dot<T: Number>(a: Vec3<T>, b: Vec3<T>) -> T {
@@ -46,19 +56,19 @@ pub fn mat_vec<T: Number>(m: &Mat3<T>, a: Vec3<T>) -> Vec3<T> {
 /// Mᵀ a
 #[inline(always)]
 pub fn transpose_vec<T: Number>(m: &Mat3<T>, a: Vec3<T>) -> Vec3<T> {
-    std::array::from_fn(|j| m[0][j] * a[0] + m[1][j] * a[1] + m[2][j] * a[2])
+    each(|j| m[0][j] * a[0] + m[1][j] * a[1] + m[2][j] * a[2])
 }
 
 /// A B
 #[inline(always)]
 pub fn mat_mul<T: Number>(a: &Mat3<T>, b: &Mat3<T>) -> Mat3<T> {
-    std::array::from_fn(|i| std::array::from_fn(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j]))
+    each(|i| each(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j]))
 }
 
 /// Mᵀ
 #[inline(always)]
 pub fn transpose<T: Number>(m: &Mat3<T>) -> Mat3<T> {
-    std::array::from_fn(|i| std::array::from_fn(|j| m[j][i]))
+    each(|i| each(|j| m[j][i]))
 }
 
 /// a / ‖a‖, and ‖a‖ ≥ `floor`.

@@ -1,6 +1,6 @@
 //! Rotation and covariance of a Gaussian: Σ = R S Sᵀ Rᵀ. 3DGS, section 4. Group frame, scene units².
 
-use super::algebra::{Mat3, mat_mul, transpose};
+use super::algebra::{Mat3, each, mat_mul, transpose};
 use super::number::Number;
 
 /// Rotation matrix of a unit quaternion w x y z; its columns are the Gaussian's axes in the group frame.
@@ -47,14 +47,14 @@ pub fn covariance<T: Number>(rotation: &Mat3<T>, scales: [T; 3]) -> Mat3<T> {
 pub fn covariance_grad<T: Number>(rotation: &Mat3<T>, scales: [T; 3], d_covariance: &Mat3<T>) -> (Mat3<T>, [T; 3]) {
     let m = stretched(rotation, scales);
     let half = mat_mul(d_covariance, &m);
-    let d_m: Mat3<T> = half.map(|row| row.map(|value| value + value));
+    let d_m: Mat3<T> = each(|i| each(|j| half[i][j] + half[i][j]));
     let d_scales =
-        std::array::from_fn(|j| rotation[0][j] * d_m[0][j] + rotation[1][j] * d_m[1][j] + rotation[2][j] * d_m[2][j]);
+        each(|j| rotation[0][j] * d_m[0][j] + rotation[1][j] * d_m[1][j] + rotation[2][j] * d_m[2][j]);
     (stretched(&d_m, scales), d_scales)
 }
 
 /// M diag(s): column j times s_j.
 #[inline(always)]
 fn stretched<T: Number>(m: &Mat3<T>, scales: [T; 3]) -> Mat3<T> {
-    std::array::from_fn(|i| std::array::from_fn(|j| m[i][j] * scales[j]))
+    each(|i| each(|j| m[i][j] * scales[j]))
 }

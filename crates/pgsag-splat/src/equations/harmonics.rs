@@ -1,6 +1,6 @@
 //! Colour that depends on the direction of sight: real spherical harmonics up to degree 3. 3DGS, appendix A.
 
-use super::algebra::{Vec3, normalized_grad, sub};
+use super::algebra::{Vec3, each, normalized_grad, sub};
 use super::number::Number;
 
 /// Most basis functions: degree 3.
@@ -113,7 +113,7 @@ pub fn color<T: Number>(coefficients: &[[T; 3]], direction: Vec3<T>, degree: u8)
             rgb[channel] += values[l] * coefficients[l][channel];
         }
     }
-    rgb.map(|value| value.max(T::zero()))
+    each(|c| rgb[c].max(T::zero()))
 }
 
 /// ĝh_l = Y_l ĝrgb,   ĝv = Σ_c ĝrgb_c Σ_l h_lc ∇Y_l; a channel held at 0 gives nothing.
@@ -127,13 +127,13 @@ pub fn color_grad<T: Number>(
     rgb: [T; 3],
     d_rgb: [T; 3],
 ) -> ([[T; 3]; BASIS_MAX], Vec3<T>) {
-    let d_rgb: [T; 3] = std::array::from_fn(|c| T::select(T::zero().less(rgb[c]), d_rgb[c], T::zero()));
+    let d_rgb: [T; 3] = each(|c| T::select(T::zero().less(rgb[c]), d_rgb[c], T::zero()));
     let values = basis(direction, degree);
     let slopes = basis_grad(direction, degree);
     let mut d_coefficients = [[T::zero(); 3]; BASIS_MAX];
     let mut d_direction = [T::zero(); 3];
     for l in 0..basis_count(degree) {
-        d_coefficients[l] = d_rgb.map(|value| value * values[l]);
+        d_coefficients[l] = each(|c| d_rgb[c] * values[l]);
         let along = super::algebra::dot(d_rgb, coefficients[l]);
         for axis in 0..3 {
             d_direction[axis] += along * slopes[l][axis];

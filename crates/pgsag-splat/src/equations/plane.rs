@@ -31,7 +31,7 @@ pub fn normal<T: Number>(rotation: &Mat3<T>, axis: [T; 3]) -> Vec3<T> {
 /// G_R = ĝn aᵀ
 #[inline(always)]
 pub fn normal_grad<T: Number>(axis: [T; 3], d_normal: Vec3<T>) -> Mat3<T> {
-    d_normal.map(|value| scale(axis, value))
+    super::algebra::each(|i| scale(axis, d_normal[i]))
 }
 
 /// Distance from the camera centre to the Gaussian's plane, scene units, ≥ 0. Eq. 3.

@@ -3,7 +3,7 @@
 //! The screen position is exact; the screen covariance uses the Jacobian of the projection at the mean, with X/Z and
 //! Y/Z clamped to 15 % of the image beyond its edges, where the approximation breaks down.
 
-use super::algebra::{Mat3, Vec3, add, mat_vec, transpose_vec};
+use super::algebra::{Mat3, Vec3, add, each, mat_vec, transpose_vec};
 use super::number::Number;
 use crate::backend::ViewCamera;
 
@@ -99,10 +99,10 @@ pub fn screen_grad<T: Number>(lens: &Lens<T>, p: Vec3<T>, d_screen: [T; 2]) -> V
 #[inline(always)]
 fn jacobian<T: Number>(lens: &Lens<T>, p: Vec3<T>) -> [Vec3<T>; 2] {
     let inverse = T::one() / p[2];
-    std::array::from_fn(|i| {
+    each(|i| {
         let tangent = (p[i] * inverse).clamp(lens.tangent_low[i], lens.tangent_high[i]);
         let slope = lens.focal[i] * inverse;
-        std::array::from_fn(|k| slope * (lens.rotation[i][k] - tangent * lens.rotation[2][k]))
+        each(|k| slope * (lens.rotation[i][k] - tangent * lens.rotation[2][k]))
     })
 }
 
@@ -135,13 +135,14 @@ pub fn screen_covariance_grad<T: Number>(
     let half = T::from_f64(0.5);
     let g2 = [[d_screen[0], half * d_screen[1]], [half * d_screen[1], d_screen[2]]];
     // G₂ K, 2 x 3.
-    let gk: [Vec3<T>; 2] = std::array::from_fn(|i| std::array::from_fn(|j| g2[i][0] * k[0][j] + g2[i][1] * k[1][j]));
+    let gk: [Vec3<T>; 2] = each(|i| each(|j| g2[i][0] * k[0][j] + g2[i][1] * k[1][j]));
     let d_covariance: Mat3<T> =
-        std::array::from_fn(|i| std::array::from_fn(|j| k[0][i] * gk[0][j] + k[1][i] * gk[1][j]));
+        each(|i| each(|j| k[0][i] * gk[0][j] + k[1][i] * gk[1][j]));
     let inverse = T::one() / p[2];
     let mut d_point = [T::zero(); 3];
     for i in 0..2 {
-        let d_k = mat_vec(covariance, gk[i]).map(|value| value + value);
+        let half_k = mat_vec(covariance, gk[i]);
+        let d_k = each(|j| half_k[j] + half_k[j]);
         let d_jacobian = mat_vec(&lens.rotation, d_k);
         let ratio = p[i] * inverse;
         let tangent = ratio.clamp(lens.tangent_low[i], lens.tangent_high[i]);
