@@ -88,7 +88,13 @@ fn weights(planes: bool) -> LossWeights {
 const RATES: Rates = Rates { means: 1e-7, scales: 1e-7, rotations: 1e-7, opacity: 1e-7, color: 1e-7, harmonics: 1e-7 };
 
 /// Mean milliseconds of each phase over some iterations, in order of phases, and blended entries per pixel.
-fn measure(simd: SimdLevel, count: usize, (width, height): (u32, u32), planes: bool, repeats: u32) -> (Vec<(String, f64)>, f64) {
+fn measure(
+    simd: SimdLevel,
+    count: usize,
+    (width, height): (u32, u32),
+    planes: bool,
+    repeats: u32,
+) -> (Vec<(String, f64)>, f64) {
     let phases: Arc<Mutex<(f64, Vec<(&'static str, f64)>)>> = Arc::default();
     let record = Arc::clone(&phases);
     let probe = move |name| {
@@ -165,6 +171,11 @@ fn main() {
         let total: f64 = phases.iter().map(|(_, ms)| ms).sum();
         let list: Vec<String> = phases.iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
         let channels = if planes { 8 } else { 3 };
-        println!("{count} Gaussians, {}x{}, {channels} channels, {entries:.1} per pixel: {total:.1} CPU ms: {}", size.0, size.1, list.join(", "));
+        println!(
+            "{count} Gaussians, {}x{}, {channels} channels, {entries:.1} per pixel: {total:.1} CPU ms: {}",
+            size.0,
+            size.1,
+            list.join(", ")
+        );
     }
 }

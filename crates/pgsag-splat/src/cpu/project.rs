@@ -85,9 +85,7 @@ impl<T: Number> Ellipses<T> {
 /// The coefficients in use of a group.
 #[inline(always)]
 pub(crate) fn coefficients<T: Number>(degree: u8, at: impl Fn(usize) -> T) -> [[T; 3]; harmonics::BASIS_MAX] {
-    each(|l| {
-        each(|c| if l < harmonics::basis_count(degree) { at(plane::HARMONICS + 3 * l + c) } else { T::zero() })
-    })
+    each(|l| each(|c| if l < harmonics::basis_count(degree) { at(plane::HARMONICS + 3 * l + c) } else { T::zero() }))
 }
 
 /// Projects the whole cloud: writes `records` (by Gaussian; only of those that touch a drawn tile), and the lists of tiles.

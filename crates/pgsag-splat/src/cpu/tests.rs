@@ -59,7 +59,7 @@ struct Splat {
     opacity: f64,
 }
 
-fn splat(lens: &projection::Lens<f64>, p: &[f64]) -> Splat {
+fn splat(lens: &Lens<f64>, p: &[f64]) -> Splat {
     let mean = [p[0], p[1], p[2]];
     let scales = activation::scales([p[3], p[4], p[5]]);
     let rotation = covariance::rotation(activation::unit_quaternion([p[6], p[7], p[8], p[9]]).0);
@@ -196,4 +196,128 @@ fn gradients_are_those_of_differences() {
             assert!(error < 1e-3, "parameters {kind:?}: relative error {error} with {cpu:?}");
         }
     }
+}
+
+fn view_of(mask: Option<Mask>) -> TrainingView {
+    let mut image = Image::filled(WIDTH, HEIGHT, [90, 110, 70]);
+    for (i, pixel) in image.pixels.iter_mut().enumerate() {
+        pixel[0] = (i * 7 % 180) as u8;
+    }
+    TrainingView { camera: camera(), image, mask, inner_edges: None }
+}
+
+const WEIGHTS: LossWeights = LossWeights {
+    l1: 0.8,
+    dssim: 0.2,
+    flatness: 1.0,
+    normal: 0.015,
+    normal_boundary: 0.1,
+    normal_image_gradient: true,
+    geometric: 0.0,
+    geometric_gate_px: 1.0,
+    ncc: 0.0,
+    ncc_patches: 0,
+    load: 0.0,
+    free_opacity: 0.0,
+    reading: crate::backend::Reading::Code,
+    mean_over_mask: true,
+};
+
+const RATES: Rates = Rates { means: 1e-3, scales: 5e-3, rotations: 1e-3, opacity: 0.02, color: 2e-3, harmonics: 1e-4 };
+
+fn train(cpu: &Cpu, cloud: SplatCloud, view: &TrainingView, steps: u32) -> OptimizerState {
+    let mut device = cpu.upload(&state(cloud)).unwrap();
+    let view = cpu.prepare(view).unwrap();
+    for step in 1..=steps {
+        let mut render = cpu.render(&device, &camera(), Some(&view), &RenderOptions { load: false, ..ALL }).unwrap();
+        let mut sample = Sample {
+            view: &view,
+            render: &mut render,
+            neighbor: None,
+            exposure: Exposure::NEUTRAL,
+            weights: &WEIGHTS,
+            scene_scale: 4.0,
+            seed: 1,
+        };
+        cpu.losses(&device, &mut sample).unwrap();
+        cpu.backward(&mut device, &sample).unwrap();
+        cpu.adam(&mut device, &RATES, step).unwrap();
+    }
+    cpu.download(&device).unwrap()
+}
+
+#[test]
+fn conformance_at_every_level() {
+    for simd in SimdLevel::available() {
+        let report =
+            crate::conformance::check(|limits| Cpu::new(CpuOptions { simd, limits }).expect("an available level"));
+        assert!(report.passed(), "{simd:?}: {report:?}");
+    }
+}
+
+#[test]
+fn threads_change_no_bit() {
+    for cpu in levels() {
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| train(&cpu, cloud(20_000, 0.03, 5), &view_of(None), 3))
+        };
+        assert!(run(1) == run(3), "{cpu:?}");
+    }
+    let cpu = Cpu::new(CpuOptions::default()).unwrap();
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| train(&cpu, cloud(300, 0.15, 6), &view_of(None), 20))
+    };
+    assert!(run(1) == run(2));
+}
+
+#[test]
+fn levels_agree() {
+    let limits = Limits { alpha_cut: 1e-6, ..Limits::default() };
+    let runs: Vec<(Vec<[f32; 8]>, Vec<Vec<f64>>)> = levels_with(limits)
+        .iter()
+        .map(|cpu| {
+            let device = cpu.upload(&state(cloud(400, 0.2, 7))).unwrap();
+            let render = cpu.render(&device, &camera(), None, &ALL).unwrap();
+            let trained = train(cpu, cloud(400, 0.2, 7), &view_of(None), 1);
+            (channels(&cpu.read(&render).unwrap()), parameters(&trained.cloud))
+        })
+        .collect();
+    for run in &runs[1..] {
+        let maps = run.0.as_flattened().iter().zip(runs[0].0.as_flattened());
+        let worst = maps.map(|(a, b)| (a - b).abs() / b.abs().max(1.0)).fold(0.0, f32::max);
+        assert!(worst < 1e-4, "maps differ by {worst}");
+    }
+}
+
+#[test]
+fn a_mask_changes_nothing_inside() {
+    let mut mask = Mask::filled(WIDTH, HEIGHT, PixelClass::Free);
+    for y in 5..20 {
+        for x in 18..36 {
+            mask.classes[(y * WIDTH + x) as usize] = if y < 8 { PixelClass::Boundary } else { PixelClass::Inside };
+        }
+    }
+    mask.classes[0] = PixelClass::Occluded;
+    for cpu in levels() {
+        let device = cpu.upload(&state(cloud(800, 0.12, 8))).unwrap();
+        let view = cpu.prepare(&view_of(Some(mask.clone()))).unwrap();
+        let maps = |view: Option<&CpuView>, free_pixels| {
+            let render = cpu.render(&device, &camera(), view, &RenderOptions { free_pixels, ..ALL }).unwrap();
+            channels(&cpu.read(&render).unwrap())
+        };
+        let (whole, masked, free) = (maps(None, false), maps(Some(&view), false), maps(Some(&view), true));
+        for (i, class) in mask.classes.iter().enumerate() {
+            assert!(if class.is_active() { masked[i] == whole[i] } else { masked[i] == [0.0; 8] });
+            assert!(if i == 0 { free[i] == [0.0; 8] } else { free[i] == whole[i] });
+        }
+    }
+}
+
+#[test]
+fn a_level_that_is_missing_is_named() {
+    let missing = if cfg!(target_arch = "aarch64") { SimdLevel::Avx512 } else { SimdLevel::Neon };
+    let error = Cpu::new(CpuOptions { simd: missing, ..CpuOptions::default() }).unwrap_err();
+    assert!(error.to_string().contains("Scalar"), "{error}");
 }

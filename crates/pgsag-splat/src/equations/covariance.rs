@@ -48,8 +48,7 @@ pub fn covariance_grad<T: Number>(rotation: &Mat3<T>, scales: [T; 3], d_covarian
     let m = stretched(rotation, scales);
     let half = mat_mul(d_covariance, &m);
     let d_m: Mat3<T> = each(|i| each(|j| half[i][j] + half[i][j]));
-    let d_scales =
-        each(|j| rotation[0][j] * d_m[0][j] + rotation[1][j] * d_m[1][j] + rotation[2][j] * d_m[2][j]);
+    let d_scales = each(|j| rotation[0][j] * d_m[0][j] + rotation[1][j] * d_m[1][j] + rotation[2][j] * d_m[2][j]);
     (stretched(&d_m, scales), d_scales)
 }
 

@@ -136,8 +136,7 @@ pub fn screen_covariance_grad<T: Number>(
     let g2 = [[d_screen[0], half * d_screen[1]], [half * d_screen[1], d_screen[2]]];
     // G₂ K, 2 x 3.
     let gk: [Vec3<T>; 2] = each(|i| each(|j| g2[i][0] * k[0][j] + g2[i][1] * k[1][j]));
-    let d_covariance: Mat3<T> =
-        each(|i| each(|j| k[0][i] * gk[0][j] + k[1][i] * gk[1][j]));
+    let d_covariance: Mat3<T> = each(|i| each(|j| k[0][i] * gk[0][j] + k[1][i] * gk[1][j]));
     let inverse = T::one() / p[2];
     let mut d_point = [T::zero(); 3];
     for i in 0..2 {
