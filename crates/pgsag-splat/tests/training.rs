@@ -3,12 +3,14 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use pgsag_scene::Map;
 use pgsag_scene::numbers::median;
 use pgsag_scene::synthetic::{Photograph, Town, TownOptions};
+use pgsag_scene::{Image, Map};
 use pgsag_splat::Backend;
-use pgsag_splat::backend::{OptimizerState, TrainingView, ViewCamera};
+use pgsag_splat::backend::{Exposure, LossWeights, OptimizerState, RenderOptions, Sample, TrainingView, ViewCamera};
 use pgsag_splat::cpu::{Cpu, CpuOptions};
+use pgsag_splat::train::density::{DensityInput, DensityOptions, plan_density};
+use pgsag_splat::train::footprint::{footprints, locate};
 use pgsag_splat::train::{
     Checkpoint, DepthOptions, InitialPoint, InitialiseOptions, NeighborOptions, TrainOptions, Trainer, ViewSource,
     evaluate_view, initialise, neighbors_of, render_depth, valid_depth,
@@ -131,4 +133,85 @@ fn cut_and_threaded_runs_give_the_same_bytes() {
         resumed.checkpoint().expect("memory").to_bytes()
     });
     assert!(straight == cut, "the bytes of a run depend on cuts or threads");
+}
+
+/// Parents of the births that one gathering over these views leads to.
+fn multiplied(views: &[TrainingView]) -> Vec<u32> {
+    let backend = Cpu::new(CpuOptions::default()).expect("some instructions");
+    let opaque = InitialiseOptions { opacity: 0.7, ..InitialiseOptions::default() };
+    let cloud = initialise(&TinyTown::new().points(), [0.0; 3], &opaque).expect("points");
+    let mut on_device = backend.upload(&OptimizerState::fresh(cloud.clone())).expect("small");
+    let weights = LossWeights { dssim: 0.0, flatness: 0.0, ..LossWeights::default() };
+    let weights = LossWeights { normal: 0.0, geometric: 0.0, ncc: 0.0, ..weights };
+    for view in views {
+        let prepared = backend.prepare(view).expect("a view");
+        let options = RenderOptions { gradient: true, statistics: true, ..RenderOptions::default() };
+        let mut render = backend.render(&on_device, &view.camera, Some(&prepared), &options).expect("a render");
+        let mut sample = Sample {
+            view: &prepared,
+            render: &mut render,
+            neighbor: None,
+            exposure: Exposure::NEUTRAL,
+            weights: &weights,
+            scene_scale: 1.0,
+            seed: 0,
+        };
+        backend.losses(&on_device, &mut sample).expect("finite");
+        backend.backward(&mut on_device, &sample).expect("finite");
+    }
+    let cameras: Vec<ViewCamera> = views.iter().map(|v| v.camera).collect();
+    let input = DensityInput {
+        cloud: &cloud,
+        statistics: &backend.statistics(&mut on_device, true).expect("memory"),
+        footprints: &footprints(&cloud.means, &cameras),
+        cull: false,
+        seed: 0,
+        iteration: 0,
+    };
+    let options = DensityOptions { gradient: 5e-6, absolute_gradient: f32::INFINITY, ..DensityOptions::default() };
+    let mut parents: Vec<u32> = plan_density(&input, &options).births.iter().map(|birth| birth.parent).collect();
+    parents.dedup();
+    parents
+}
+
+/// Every pixel `factor` by `factor` times.
+fn enlarged(view: &TrainingView, factor: u32) -> TrainingView {
+    let (width, height) = (view.image.width * factor, view.image.height * factor);
+    let pixels = (0..width * height).map(|i| view.image.at(i % width / factor, i / width / factor)).collect();
+    let camera = ViewCamera { pinhole: view.camera.pinhole.resized(width, height), ..view.camera };
+    TrainingView { camera, image: Image { width, height, pixels }, mask: None, inner_edges: None }
+}
+
+fn differ_by_at_most_5_percent(a: &[u32], b: &[u32]) -> bool {
+    let only_one = a.iter().filter(|i| !b.contains(i)).count() + b.iter().filter(|i| !a.contains(i)).count();
+    a.len() > 50 && a.len().abs_diff(b.len()) * 20 <= a.len() && only_one * 10 <= a.len()
+}
+
+#[test]
+fn scales_of_one_scene_multiply_alike() {
+    let town = TinyTown::new();
+    let views: Vec<TrainingView> = (0..9).map(|i| enlarged(&town.view(i).expect("in memory"), 2)).collect();
+    let full = multiplied(&views);
+    let scaled = multiplied(&views.iter().map(|v| enlarged(v, 2)).collect::<Vec<_>>());
+    assert!(differ_by_at_most_5_percent(&full, &scaled), "{} and {}", full.len(), scaled.len());
+}
+
+#[test]
+fn crops_of_one_scene_multiply_alike() {
+    let town = TinyTown::new();
+    let view = enlarged(&town.view(0).expect("in memory"), 2);
+    let [x0, y0, width, height] = [32, 24, 128, 96];
+    let crop = TrainingView {
+        camera: ViewCamera { pinhole: view.camera.pinhole.cropped(x0, y0, width, height), ..view.camera },
+        image: view.image.cropped(x0, y0, width, height),
+        ..view.clone()
+    };
+    // Gaussians that do not reach over the border of the crop.
+    let inner = ViewCamera { pinhole: view.camera.pinhole.cropped(x0 + 16, y0 + 16, 96, 64), ..view.camera };
+    let cloud = initialise(&town.points(), [0.0; 3], &InitialiseOptions::default()).expect("points");
+    let inside = |parents: Vec<u32>| -> Vec<u32> {
+        parents.into_iter().filter(|i| locate(&inner, cloud.means[*i as usize]).is_some()).collect()
+    };
+    let (full, cropped) = (inside(multiplied(&[view])), inside(multiplied(&[crop])));
+    assert!(differ_by_at_most_5_percent(&full, &cropped), "{} and {}", full.len(), cropped.len());
 }
