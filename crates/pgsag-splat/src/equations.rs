@@ -16,4 +16,7 @@ pub mod number;
 pub mod plane;
 pub mod projection;
 
+#[cfg(test)]
+mod tests;
+
 pub use number::{Number, Scalar};

@@ -101,7 +101,7 @@ impl fmt::Display for Report {
             let Comparison { name, norm, relative_error, cosine, bias, tolerance } = comparison;
             writeln!(
                 f,
-                "  {name}: error {relative_error:.2e} (at most {tolerance:.0e}), cosine {cosine:.7}, bias {bias:.1e}"
+                "  {name}: error {relative_error:.2e} of {norm:.2e} (at most {tolerance:.0e}), cosine {cosine:.7}, bias {bias:.1e}"
             )?;
         }
         Ok(())
