@@ -6,8 +6,12 @@
 pub mod colmap;
 mod cursor;
 pub mod folder;
+pub mod georef;
+mod json;
 mod lines;
 pub mod map;
+pub mod nerfstudio;
+pub mod opensfm;
 pub mod photo;
 pub mod ply;
 pub mod raster;

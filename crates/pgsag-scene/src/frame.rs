@@ -3,6 +3,12 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+pub mod eigen;
+pub mod geodesy;
+pub mod gps;
+pub mod similarity;
+pub mod up;
+
 /// What is known of the world frame. Coordinates of every output are `Scene` coordinates; `offset` is what a
 /// georeferenced reader adds to them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -69,8 +69,8 @@ mod tests {
         let mut mask = Map::filled(6, 2, false);
         [(0, 0), (0, 1), (2, 0)].iter().for_each(|&(x, y)| mask.set(x, y, true));
         assert_eq!(mask.resized(3, 1).values, [true, false, false]);
-        assert_eq!(mask.resized_nearest(12, 4).at(1, 3), true);
-        assert_eq!(mask.resized_nearest(12, 4).at(2, 3), false);
+        assert!(mask.resized_nearest(12, 4).at(1, 3));
+        assert!(!mask.resized_nearest(12, 4).at(2, 3));
         assert_eq!(mask.resized_nearest(6, 2), mask);
     }
 }

@@ -1,4 +1,5 @@
 //! Our lenses against COLMAP's: golden values of `tests/golden`, and real photographs where there are some.
+#![expect(clippy::unwrap_used, reason = "a test stops where something is wrong")]
 
 use std::path::{Path, PathBuf};
 

@@ -142,7 +142,7 @@ pub struct LensCamera {
 }
 
 /// The widest and highest image that is believed, pixels.
-pub const LARGEST_SIDE_PX: u32 = 1 << 17;
+pub const LARGEST_SIDE_PX: u32 = 1 << 16;
 
 impl From<Pinhole> for LensCamera {
     fn from(camera: Pinhole) -> Self {

@@ -22,6 +22,7 @@ use crate::scene::{Scene, View};
 
 mod masks;
 mod models;
+mod place;
 
 /// A scene and where its pixels are.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,6 +54,7 @@ pub fn open_scene(dir: &Path) -> Result<SceneFolder, FileError> {
     let headers = read_headers(&found.image_paths)?;
     fit_cameras(&mut scene, &headers, &found.image_paths, &mut notes)?;
     note_headers(&scene, &headers, &mut notes);
+    scene.frame = place::find(dir, &scene.views, &headers, found.reference_lla, &mut notes)?;
     let count = scene.views.len();
     let mut folder = SceneFolder {
         scene,

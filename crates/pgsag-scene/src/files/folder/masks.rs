@@ -22,6 +22,9 @@ pub(super) struct Found {
     pub(super) notes: Vec<Note>,
 }
 
+/// A mask and its width and height.
+type SizedMask = (PathBuf, (u32, u32));
+
 /// The names of the mask of a photograph, in the order of [`CONVENTIONS`].
 fn candidates(name: &str) -> [String; 5] {
     let folder_end = name.rfind('/').map_or(0, |i| i + 1);
@@ -94,10 +97,7 @@ pub(super) fn list_files(dir: &Path) -> Result<Vec<(String, PathBuf)>, FileError
 }
 
 /// The masks that have the shape of their photograph but another size; an error where the shape differs.
-pub(super) fn check_sizes(
-    paths: &[Option<PathBuf>],
-    sizes: &[(u32, u32)],
-) -> Result<Vec<(PathBuf, (u32, u32))>, FileError> {
+pub(super) fn check_sizes(paths: &[Option<PathBuf>], sizes: &[(u32, u32)]) -> Result<Vec<SizedMask>, FileError> {
     let pairs: Vec<_> = paths.iter().zip(sizes).filter_map(|(path, size)| Some((path.as_ref()?, *size))).collect();
     let headers: Vec<_> = pairs.par_iter().map(|(path, _)| read_photo_header(path)).collect();
     let mut resized = Vec::new();

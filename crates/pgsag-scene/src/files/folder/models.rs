@@ -4,10 +4,11 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::masks::list_files;
-use super::read_file;
+use super::{read_file, read_photo_header};
 use crate::error::FileError;
-use crate::files::Note;
 use crate::files::colmap::{Encoding, Model};
+use crate::files::{Note, nerfstudio, opensfm, ply};
+use crate::points::SparsePoint;
 use crate::scene::Scene;
 
 /// A model and its photographs.
@@ -16,9 +17,13 @@ pub(super) struct Found {
     pub(super) image_paths: Vec<PathBuf>,
     /// Masks that the model itself names.
     pub(super) mask_paths: Vec<Option<PathBuf>>,
+    /// Origin of a local east-north-up frame in metres, where the model itself names it.
+    pub(super) reference_lla: Option<[f64; 3]>,
 }
 
-const TRIED: &str = "sparse/0/cameras.bin, sparse/0/cameras.txt, sparse/cameras.bin, sparse/cameras.txt";
+const RECONSTRUCTIONS: [&str; 2] = ["reconstruction.json", "opensfm/reconstruction.json"];
+const TRIED: &str = "sparse/0/cameras.bin, sparse/0/cameras.txt, sparse/cameras.bin, sparse/cameras.txt, \
+                     reconstruction.json, opensfm/reconstruction.json, transforms.json";
 
 /// Opens the first model there is.
 pub(super) fn open(dir: &Path, notes: &mut Vec<Note>) -> Result<Found, FileError> {
@@ -27,6 +32,13 @@ pub(super) fn open(dir: &Path, notes: &mut Vec<Note>) -> Result<Found, FileError
             let scene = read_colmap(&path, encoding)?;
             return with_images(dir, scene, notes);
         }
+    }
+    if let Some(path) = RECONSTRUCTIONS.iter().map(|name| dir.join(name)).find(|path| path.is_file()) {
+        return open_opensfm(dir, &path, notes);
+    }
+    let transforms = dir.join("transforms.json");
+    if transforms.is_file() {
+        return open_nerfstudio(dir, &transforms);
     }
     Err(FileError::Missing {
         file: dir.display().to_string(),
@@ -65,14 +77,7 @@ fn with_images(dir: &Path, scene: Scene, notes: &mut Vec<Note>) -> Result<Found,
         });
     }
     let image_paths: Vec<PathBuf> = scene.views.iter().map(|view| folder.join(&view.name)).collect();
-    let missing: Vec<&PathBuf> = image_paths.iter().filter(|path| !path.is_file()).collect();
-    if let Some(first) = missing.first() {
-        return Err(FileError::Missing {
-            file: first.display().to_string(),
-            what: format!("{} of the model's {} photographs are missing", missing.len(), image_paths.len()),
-            cure: "put them there under the names of the model, or remove them from the model".into(),
-        });
-    }
+    check_present(&image_paths)?;
     let known: BTreeSet<&Path> = image_paths.iter().map(PathBuf::as_path).collect();
     let extra = list_files(&folder)?.into_iter().filter(|(_, path)| !known.contains(path.as_path())).count();
     if extra > 0 {
@@ -80,5 +85,67 @@ fn with_images(dir: &Path, scene: Scene, notes: &mut Vec<Note>) -> Result<Found,
         notes.push(Note::new("image-unregistered", text));
     }
     let mask_paths = vec![None; image_paths.len()];
-    Ok(Found { scene, image_paths, mask_paths })
+    Ok(Found { scene, image_paths, mask_paths, reference_lla: None })
+}
+
+fn check_present(image_paths: &[PathBuf]) -> Result<(), FileError> {
+    let missing: Vec<&PathBuf> = image_paths.iter().filter(|path| !path.is_file()).collect();
+    match missing.first() {
+        None => Ok(()),
+        Some(first) => Err(FileError::Missing {
+            file: first.display().to_string(),
+            what: format!("{} of the model's {} photographs are missing", missing.len(), image_paths.len()),
+            cure: "put them there under the names of the model, or remove them from the model".into(),
+        }),
+    }
+}
+
+fn open_opensfm(dir: &Path, path: &Path, notes: &mut Vec<Note>) -> Result<Found, FileError> {
+    let (file, bytes) = read_file(path)?;
+    let mut read = opensfm::parse(&file, &bytes)?;
+    notes.append(&mut read.notes);
+    let tracks = path.with_file_name("tracks.csv");
+    if tracks.is_file() {
+        let (file, bytes) = read_file(&tracks)?;
+        read.add_tracks(&file, &bytes)?;
+    } else {
+        notes.push(Note::new(
+            "tracks-missing",
+            format!("{} is missing: no one knows who saw a point", tracks.display()),
+        ));
+    }
+    let reference_lla = read.reference_lla;
+    Ok(Found { reference_lla, ..with_images(dir, read.scene, notes)? })
+}
+
+/// The path of a photograph as `transforms.json` names it; Blender leaves the extension out.
+fn with_extension(path: PathBuf) -> PathBuf {
+    let named = |extension: &str| PathBuf::from(format!("{}.{extension}", path.display()));
+    let candidates = ["png", "jpg", "jpeg", "PNG", "JPG"].map(named);
+    if path.is_file() { path } else { candidates.into_iter().find(|path| path.is_file()).unwrap_or(path) }
+}
+
+fn open_nerfstudio(dir: &Path, path: &Path) -> Result<Found, FileError> {
+    let (file, bytes) = read_file(path)?;
+    let mut image_size = |image: &str| {
+        let header = read_photo_header(&with_extension(dir.join(image))).ok()?;
+        Some((header.width, header.height))
+    };
+    let mut read = nerfstudio::parse(&file, &bytes, &mut image_size)?;
+    if let Some(points) = &read.points_file {
+        let (file, bytes) = read_file(&dir.join(points))?;
+        let cloud = ply::read_cloud(&file, &bytes)?;
+        let points = cloud.positions.iter().enumerate().map(|(i, position)| SparsePoint {
+            position_world: read.applied.undo((*position).into()),
+            color: cloud.colors.get(i).copied().unwrap_or([128; 3]),
+            error_px: 0.0,
+            track: Vec::new(),
+        });
+        read.scene.points = points.collect();
+    }
+    let image_paths: Vec<PathBuf> = read.image_files.iter().map(|image| with_extension(dir.join(image))).collect();
+    check_present(&image_paths)?;
+    let mask_paths: Vec<Option<PathBuf>> =
+        read.mask_files.iter().map(|mask| mask.as_ref().map(|mask| dir.join(mask))).collect();
+    Ok(Found { scene: read.scene, image_paths, mask_paths, reference_lla: None })
 }
