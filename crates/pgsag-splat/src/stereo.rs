@@ -10,7 +10,7 @@ mod cost;
 mod points;
 
 pub use check::{CheckOptions, confirmed};
-pub use points::{PointOptions, SurfacePoint, lift, thin_points};
+pub use points::{SurfacePoint, lift, thin_points};
 
 use pgsag_scene::numbers::SplitMix64;
 use pgsag_scene::{Image, Map, Pinhole, RigidTransform};

@@ -15,6 +15,7 @@ use pgsag_splat::train::{DepthOptions, InitialiseOptions, NeighborOptions, Train
 
 use crate::error::UserError;
 use crate::run::settings::Settings;
+use crate::stages::coarse::CoarseOptions;
 use crate::stages::merge::BuildingOptions;
 use crate::stages::mesh::SurfaceOptions;
 
@@ -72,6 +73,8 @@ pub struct Config {
     /// Truth to score against; empty: no score.
     pub truth: String,
 
+    /// Points on everything, to begin from.
+    pub coarse: CoarseOptions,
     /// Votes of the views on points.
     pub vote: VoteOptions,
     /// Masks to pixel classes.
@@ -112,6 +115,7 @@ impl Default for Config {
             holdout: 0,
             aoi: String::new(),
             truth: String::new(),
+            coarse: CoarseOptions::default(),
             vote: VoteOptions::default(),
             refine: RefineOptions::default(),
             initialise: InitialiseOptions::default(),

@@ -38,7 +38,7 @@ const IMAGES: &str = "image_width";
 pub static PIPELINE: &[Stage] = &[
     Stage { sources: import::sources,
     ..row::<import::Imported>("import", &[], Per::Whole, &[], import::jobs, import::run) },
-    row::<coarse::Coarse>("coarse", &["import"], Per::Whole, &[], coarse::jobs, coarse::run),
+    row::<coarse::Coarse>("coarse", &["import"], Per::Whole, &["coarse", "neighbors", "holdout", IMAGES], coarse::jobs, coarse::run),
     Stage { sources: masks::sources,
     ..row::<masks::MaskList>("masks", &["import"], Per::Image, &["masks", IMAGES], masks::jobs, masks::run) },
     row::<vote::Votes>("vote", &["import", "coarse", "masks"], Per::Whole, &["vote"], vote::jobs, vote::run),

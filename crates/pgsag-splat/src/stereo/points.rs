@@ -3,21 +3,8 @@
 use std::collections::BTreeMap;
 
 use pgsag_scene::{Image, Map, Pinhole, RigidTransform};
-use serde::{Deserialize, Serialize};
 
-/// How points are taken from depth maps.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct PointOptions {
-    /// Side of a grid cell, in local ground sampling distances of the stereo images' full-size cameras.
-    pub cell_gsd: f32,
-}
-
-impl Default for PointOptions {
-    fn default() -> Self {
-        Self { cell_gsd: 2.0 }
-    }
-}
+use super::StereoDepth;
 
 /// A point of a surface with its direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,30 +17,34 @@ pub struct SurfacePoint {
     pub color: [u8; 3],
     /// 1 − NCC: lower is better.
     pub cost: f32,
+    /// Whatever number the caller gave to the view that found it.
+    pub view: u32,
 }
 
-/// Lifts the valid pixels of one view. `depth` is 0 where there is no surface; all maps and the image share one size.
+/// Lifts the valid pixels of one view. `depth` is 0 where there is no surface (it may be stricter than that of
+/// `found`); all maps and the image share one size.
 #[must_use]
 pub fn lift(
+    view: u32,
     camera: &Pinhole,
     camera_from_world: &RigidTransform,
     depth: &Map<f32>,
-    normal_camera: &Map<[f32; 3]>,
-    cost: &Map<f32>,
+    found: &StereoDepth,
     image: &Image,
 ) -> Vec<SurfacePoint> {
     let world_from_camera = camera_from_world.inverse();
     let width = depth.width as usize;
-    let found = depth.values.iter().enumerate().filter(|(_, z)| **z > 0.0);
-    found
+    let valid = depth.values.iter().enumerate().filter(|(_, z)| **z > 0.0);
+    valid
         .map(|(index, z)| {
             let ray = camera.ray((index % width) as f64 + 0.5, (index / width) as f64 + 0.5);
-            let normal = normal_camera.values[index].map(f64::from);
+            let normal = found.normal.values[index].map(f64::from);
             SurfacePoint {
                 position_world: world_from_camera.transform_point(ray * f64::from(*z)).to_array(),
                 normal_world: (world_from_camera.rotation * glam::DVec3::from_array(normal)).as_vec3().to_array(),
                 color: image.pixels[index],
-                cost: cost.values[index],
+                cost: found.cost.values[index],
+                view,
             }
         })
         .collect()

@@ -97,6 +97,7 @@ fn thinning_keeps_the_best_of_a_cell_and_both_sides_of_a_wall() {
         normal_world: [normal_x, 0.0, 0.0],
         color: [0; 3],
         cost,
+        view: 0,
     };
     let kept =
         thin_points([point(0.2, 1.0, 0.3), point(0.4, 1.0, 0.1), point(0.6, -1.0, 0.2), point(5.0, 1.0, 0.9)], 1.0);

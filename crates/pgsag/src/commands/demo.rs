@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
 use pgsag_scene::synthetic::TownOptions;
+use pgsag_splat::train::TrainOptions;
 use serde_json::json;
 
 use super::{print, progress, reconstruct, score, town};
@@ -19,6 +20,9 @@ use crate::town_folder::FolderOptions;
 /// The threshold whose F1 the demo prints, metres.
 const HEADLINE_M: f64 = 0.2;
 
+/// Steps of training: stereo has put the Gaussians on the surface, and a first look shall take minutes.
+const ITERATIONS: u32 = 800;
+
 /// Makes the town, reconstructs it, scores it.
 pub(super) fn run(args: &DemoArgs, json: bool) -> Result<()> {
     let progress = progress(json);
@@ -29,12 +33,14 @@ pub(super) fn run(args: &DemoArgs, json: bool) -> Result<()> {
     let folder = args.output.canonicalize().context("the run folder")?;
     let scene = folder.join("scene");
     make_town(&options, &scene, &progress)?;
+    let preset = Config::preset(Preset::Fast);
     let config = Config {
+        train: TrainOptions { iterations: ITERATIONS, ..preset.train },
         scene: scene.to_string_lossy().into_owned(),
         truth: scene.join("truth").to_string_lossy().into_owned(),
         threads: args.threads,
         seed: args.seed,
-        ..Config::preset(Preset::Fast)
+        ..preset
     };
     progress.note("demo", "all", "the town comes with its exact masks, so that its buildings are known");
     reconstruct::execute(&folder, config, false, progress)?;

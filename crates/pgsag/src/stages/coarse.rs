@@ -1,16 +1,21 @@
-//! `coarse`: points on everything, before anything is known of buildings.
+//! `coarse`: points on everything, before anything is known of buildings: oriented, dense, from stereo on reduced
+//! images, or the sparse points where stereo is switched off or finds little.
 
 use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
-use pgsag_scene::{Scene, SparsePoint};
+use pgsag_scene::{Scene, SparsePoint, View};
+use pgsag_splat::stereo::{CheckOptions, StereoOptions};
 use pgsag_splat::train::InitialPoint;
+use serde::{Deserialize, Serialize};
 
 use super::import::{Imported, decode_points, encode_points};
-use super::{read, write};
+use super::{config, read, write};
 use crate::run::Run;
 use crate::run::artifact::Artifact;
 use crate::run::stage::{Cost, Job, JobPlan};
+
+mod dense;
 
 /// Points to begin from.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -63,14 +68,71 @@ impl Coarse {
     }
 }
 
+/// What the coarse surface is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CoarseOptions {
+    /// Dense oriented points by stereo; false: the sparse points are handed on as they are.
+    pub stereo: bool,
+    /// Size of the images in stereo over their size in training.
+    pub scale: f64,
+    /// Images are not made smaller than this for stereo, longest side in pixels.
+    pub smallest_px: u32,
+    /// Nor larger than this.
+    pub largest_px: u32,
+    /// Neighbours that each view is matched with.
+    pub neighbor_count: u32,
+    /// Side of the cells that keep one point each, in ground sampling distances of training.
+    pub cell_gsd: f64,
+    /// Search for depth.
+    pub matching: StereoOptions,
+    /// Agreement between views.
+    pub check: CheckOptions,
+}
+
+impl Default for CoarseOptions {
+    fn default() -> Self {
+        Self {
+            stereo: true,
+            scale: 0.5,
+            smallest_px: 200,
+            largest_px: 1200,
+            neighbor_count: 4,
+            cell_gsd: 3.0,
+            matching: StereoOptions::default(),
+            check: CheckOptions::default(),
+        }
+    }
+}
+
+/// Processor seconds of stereo per pixel, with four neighbours.
+const STEREO_SECS_PER_PIXEL: f64 = 45e-6;
+
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
+    let config = config(run)?;
     let imported = Imported::read(&run.stage_folder("import"))?;
-    let bytes = 64 * imported.scene.points.len() as u64;
-    Ok(JobPlan::whole(&["import"], Cost { memory_bytes: (64 << 20) + 4 * bytes, disk_bytes: bytes, cpu_secs: 1.0 }))
+    let pixels = |view: &View| dense::stereo_camera(&view.camera, &config).pixel_count() as u64;
+    let stereo = if config.coarse.stereo { imported.scene.views.iter().map(pixels).sum::<u64>() } else { 0 };
+    let largest = imported.scene.views.iter().map(|view| view.camera.pixel_count() as u64).max().unwrap_or(0);
+    let points = imported.scene.points.len() as u64 + stereo / 20;
+    let cost = Cost {
+        memory_bytes: (128 << 20) + 400 * points + 16 * largest + dense::HELD_BYTES,
+        disk_bytes: 64 * points + 20 * stereo,
+        cpu_secs: 1.0 + stereo as f64 * STEREO_SECS_PER_PIXEL,
+    };
+    Ok(JobPlan::whole(&["import"], cost))
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
+    let config = config(job.run)?;
     let imported: Imported = job.read("import")?;
-    job.say("the sparse points are handed on as they are");
+    if config.coarse.stereo {
+        let dense = dense::surface(job, &imported, &config)?;
+        if dense.points.len() > imported.scene.points.len() {
+            job.say(&format!("{} points on surfaces, found by stereo", dense.points.len()));
+            return job.write(&dense);
+        }
+        job.warn("stereo found fewer points than there are sparse ones; these are used instead");
+    }
     job.write(&Coarse { points: imported.scene.points, normals: Vec::new() })
 }
