@@ -19,7 +19,7 @@ const FACADE_MAX_UP: f64 = 0.342;
 
 /// The truth, ready to be asked.
 pub(crate) enum Known<'a> {
-    Surface { mesh: &'a Mesh, surface: Surface, edges: Edges },
+    Surface { mesh: &'a Mesh, surface: Box<Surface>, edges: Edges },
     Cloud(Cloud),
 }
 
@@ -27,7 +27,7 @@ impl<'a> Known<'a> {
     pub(crate) fn new(truth: &Truth<'a>) -> Result<Self, MeshError> {
         match truth {
             Truth::Mesh(mesh) | Truth::Folder { scene: mesh, .. } => {
-                Ok(Self::Surface { mesh, surface: Surface::new(mesh, "the truth")?, edges: Edges::new(mesh) })
+                Ok(Self::Surface { mesh, surface: Box::new(Surface::new(mesh, "the truth")?), edges: Edges::new(mesh) })
             }
             Truth::Cloud(points) => Ok(Self::Cloud(Cloud::new(points.to_vec(), "the truth")?)),
         }
@@ -35,7 +35,7 @@ impl<'a> Known<'a> {
 
     pub(crate) fn target(&self) -> &dyn Target {
         match self {
-            Self::Surface { surface, .. } => surface,
+            Self::Surface { surface, .. } => surface.as_ref(),
             Self::Cloud(cloud) => cloud,
         }
     }

@@ -23,7 +23,7 @@ impl<'a> Sampler<'a> {
         let areas: Vec<f64> = (0..mesh.faces.len()).map(|f| area(mesh, f)).collect();
         let total: f64 = areas.iter().sum();
         let per_point = spacing * spacing;
-        if !(total / per_point <= MAX_SAMPLES) {
+        if !total.is_finite() || total / per_point > MAX_SAMPLES {
             return Err(MeshError::Geometry {
                 what: format!("{total:.3e} square units of surface need too many samples {spacing} apart"),
                 cure: "check the unit of the mesh, or give a larger spacing",
