@@ -172,11 +172,11 @@ fn icp_undoes_a_motion() {
     let truth = crate::merge::merge(&[boxed([0.0; 3], [4.0, 3.0, 2.0]), boxed([5.0, 0.0, 0.0], [7.0, 4.0, 5.0])]);
     let moved = |scale: f64| {
         let motion =
-            Similarity { scale, rotation: DQuat::from_rotation_z(0.02), translation: DVec3::new(0.3, -0.2, 0.1) };
+            Similarity { scale, rotation: DQuat::from_rotation_z(0.02), translation: DVec3::new(0.3, -0.2, 0.3) };
         Mesh { vertices: truth.vertices.iter().map(|v| motion.apply(*v)).collect(), ..truth.clone() }
     };
     let with = |align, mesh: &Mesh| {
-        let options = ScoreOptions { align, ..options(&[0.1]) };
+        let options = ScoreOptions { align, ..options(&[0.2]) };
         score(mesh, &Truth::Mesh(&truth), &ScoreOptions { spacing_m: Some(0.05), ..options }).unwrap()
     };
     let judged = with(Align::Icp, &moved(1.0));
