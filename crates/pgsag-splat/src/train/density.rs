@@ -33,6 +33,9 @@ pub struct DensityOptions {
     pub split_size: f32,
     /// Absolute splits need a largest deviation of at least this, reference pixels. PGSR: radius 20 px, a deviation of 6.7.
     pub absolute_split_size: f32,
+    /// Gaussians whose largest deviation is below this do not multiply: the photographs cannot tell their children
+    /// apart. Pixels of the finest view.
+    pub min_size_px: f32,
     /// Gaussians whose largest deviation exceeds this die, reference pixels. PGSR: 0.1 of the extent, which is 100.
     pub prune_size: f32,
     /// Gaussians fainter than this die. 3DGS: 0.005, PG-SAG: 0.05.
@@ -62,6 +65,7 @@ impl Default for DensityOptions {
             max_absolute_splits: 50_000,
             split_size: 1.0,
             absolute_split_size: 6.7,
+            min_size_px: 0.7,
             prune_size: 100.0,
             opacity_cull: 0.02,
             max_gaussians: 6_000_000,
@@ -183,11 +187,15 @@ fn growth_wishes(input: &DensityInput<'_>, dead: &[bool], options: &DensityOptio
         if dead[i] || visible == 0 || footprint.focal_px == 0.0 {
             continue;
         }
+        let scale = max_scale(input.cloud, i);
+        if scale < options.min_size_px * footprint.gsd() {
+            continue;
+        }
         // Per pixel of motion becomes per reference pixel of motion.
         let per_reference = footprint.focal_px / REFERENCE_FOCAL_PX / visible as f32;
         let excess = input.statistics.gradient[i] * per_reference / options.gradient;
         let absolute_excess = input.statistics.absolute_gradient[i] * per_reference / options.absolute_gradient;
-        let size = footprint.reference_px(max_scale(input.cloud, i));
+        let size = footprint.reference_px(scale);
         if excess >= 1.0 {
             let growth = if size > options.split_size { Growth::Split } else { Growth::Clone };
             wishes.push((i, growth, excess));

@@ -77,12 +77,23 @@ fn decide(
 #[test]
 fn small_ones_are_cloned_and_large_ones_split() {
     let options = DensityOptions { gradient: 1.0, ..DensityOptions::default() };
-    let made = decide(&three([2.0, 2.0, 0.5], [0.5, 3.0, 3.0]), &options);
+    let made = decide(&three([2.0, 2.0, 0.5], [0.8, 3.0, 3.0]), &options);
     assert_eq!(made.keep, vec![0, 2]);
     assert_eq!(made.births.iter().map(|b| b.parent).collect::<Vec<_>>(), vec![0, 1, 1]);
     assert_eq!(made.births[0].log_scale_shift, 0.0);
     assert!((made.births[1].log_scale_shift + libm::logf(1.6)).abs() < 1e-6);
     assert_ne!(made.births[1].offset, made.births[2].offset);
+}
+
+#[test]
+fn what_the_photographs_cannot_tell_apart_does_not_multiply() {
+    let options = DensityOptions { gradient: 1.0, ..DensityOptions::default() };
+    let mut scene = three([2.0; 3], [0.5, 0.5, 3.0]);
+    scene.2 = vec![Footprint { depth: 1000.0, focal_px: 1000.0 }; 3];
+    assert_eq!(decide(&scene, &options).births.iter().map(|b| b.parent).collect::<Vec<_>>(), vec![2, 2]);
+    // In a photograph of twice the resolution the small ones are 1 px wide.
+    scene.2 = vec![Footprint { depth: 1000.0, focal_px: 2000.0 }; 3];
+    assert_eq!(decide(&scene, &options).births.len(), 4);
 }
 
 #[test]
@@ -105,10 +116,10 @@ fn faint_and_huge_ones_die_unless_a_reset_is_fresh() {
 #[test]
 fn a_full_budget_takes_the_steepest() {
     let options = DensityOptions { gradient: 1.0, max_gaussians: 4, ..DensityOptions::default() };
-    let made = decide(&three([2.0, 9.0, 5.0], [0.5; 3]), &options);
+    let made = decide(&three([2.0, 9.0, 5.0], [0.8; 3]), &options);
     assert_eq!(made.keep.len() + made.births.len(), 4);
     assert_eq!(made.births[0].parent, 1);
-    let none = decide(&three([2.0, 9.0, 5.0], [0.5; 3]), &DensityOptions { max_gaussians: 2, ..options });
+    let none = decide(&three([2.0, 9.0, 5.0], [0.8; 3]), &DensityOptions { max_gaussians: 2, ..options });
     assert!(none.births.is_empty());
 }
 
