@@ -203,7 +203,8 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let views = GroupViews::new(&group, &imported.scene.views, &photographs, job);
     let points: Vec<_> = group.points.iter().map(|index| coarse.initial_point(*index as usize)).collect();
     let cloud = initialise(&points, group.origin_world, &config.initialise)?;
-    let options = TrainOptions { view_cache_bytes: job.memory_bytes / 5, ..config.train.clone() };
+    let mut options = TrainOptions { view_cache_bytes: job.memory_bytes / 5, ..config.train.clone() };
+    options.density.max_gaussians = expected_gaussians(&group, &config) as usize;
     let work = Train { job, views, neighbors, cloud, options, holdout: config.holdout };
     let trained = engine::run(&config.device, &config.simd, work)?;
     job.write(&trained)
