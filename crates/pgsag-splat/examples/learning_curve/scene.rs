@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use pgsag_scene::Map;
 use pgsag_scene::synthetic::{Photograph, Town, TownOptions};
 use pgsag_splat::backend::{TrainingView, ViewCamera};
-use pgsag_splat::stereo::{PointOptions, StereoOptions, StereoView, SurfacePoint, estimate, lift, thin_points};
+use pgsag_splat::stereo::{
+    CheckOptions, StereoDepth, StereoOptions, StereoView, SurfacePoint, confirmed, estimate, lift, thin_points,
+};
 use pgsag_splat::train::ViewSource;
 use pgsag_splat::train::{InitialPoint, NeighborOptions, TrainOptions, neighbors_of};
 
@@ -127,19 +128,15 @@ impl TownViews {
             .collect();
         let mut points: Vec<SurfacePoint> = Vec::new();
         for (position, found) in depths.iter().enumerate() {
-            let mut depth = found.depth.clone();
-            for (i, z) in depth.values.iter_mut().enumerate() {
-                let beside = neighbors[position].iter().take(4).map(|n| n.view as usize);
-                let agree = beside.filter(|other| agrees(&views, position, i, *z, *other, &depths[*other].depth));
-                if *z > 0.0 && agree.count() < 2 {
-                    *z = 0.0;
-                }
-            }
-            let image = &self.photographs[indices[position] as usize].image;
+            let beside = neighbors[position].iter().take(4).map(|n| n.view as usize);
+            let others: Vec<(&StereoView, &StereoDepth)> =
+                beside.map(|other| (&views[other], &depths[other])).collect();
             let view = &views[position];
-            points.extend(lift(&view.camera, &view.camera_from_world, &depth, &found.normal, &found.cost, image));
+            let depth = confirmed((view, found), &others, &CheckOptions::default());
+            let image = &self.photographs[indices[position] as usize].image;
+            points.extend(lift(position as u32, &view.camera, &view.camera_from_world, &depth, found, image));
         }
-        let cell = f64::from(PointOptions::default().cell_gsd) * self.town.options.gsd_m;
+        let cell = 3.0 * self.town.options.gsd_m;
         let to_initial = |p: SurfacePoint| InitialPoint {
             position_world: p.position_world,
             color: p.color,
@@ -159,19 +156,6 @@ impl TownViews {
         }
         seeds
     }
-}
-
-/// Whether another view's depth is within 1 % of a pixel's surface.
-fn agrees(views: &[StereoView], position: usize, pixel: usize, z: f32, other: usize, depth: &Map<f32>) -> bool {
-    let (view, beside) = (&views[position], &views[other]);
-    let width = view.camera.width as usize;
-    let ray = view.camera.ray((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
-    let world = view.camera_from_world.inverse().transform_point(ray * f64::from(z));
-    let p = beside.camera_from_world.transform_point(world);
-    beside.camera.project(p).filter(|at| beside.camera.contains(*at)).is_some_and(|at| {
-        let found = f64::from(depth.at(at.x as u32, at.y as u32));
-        (found - p.z).abs() < 0.01 * p.z
-    })
 }
 
 impl ViewSource for TownViews {
