@@ -28,7 +28,8 @@ const BLOCK_OVERHEAD: u64 = 64;
 pub struct TsdfOptions {
     /// Distances in front of the surface are cut to this many voxels (method 3.8).
     pub front_voxels: f32,
-    /// Nodes farther behind the surface than this many voxels are not touched (method 8.11: more closes up parapets).
+    /// Nodes farther behind the surface than this many voxels are not touched: more closes up parapets, fewer let the
+    /// news of free space that leaks through holes paint a second sheet inside (decision 0010).
     pub behind_voxels: f32,
     /// Weight, as a share of a measurement's own, of the news that a node beyond the truncation is free; 0 = no carving.
     pub free_space_weight: f32,
@@ -48,7 +49,7 @@ impl Default for TsdfOptions {
     fn default() -> Self {
         Self {
             front_voxels: 4.0,
-            behind_voxels: 2.0,
+            behind_voxels: 3.0,
             free_space_weight: 0.25,
             min_weight: 0.01,
             min_cos: 0.174,
