@@ -12,6 +12,7 @@ const MAY: &[(&str, &[&str])] = &[
     ("pgsag-models", &["pgsag-scene", "pgsag-group"]),
     ("pgsag", &["pgsag-scene", "pgsag-group", "pgsag-splat", "pgsag-mesh", "pgsag-gpu", "pgsag-models"]),
     ("xtask", &[]),
+    ("pgsag-fuzz", &["pgsag-scene"]),
 ];
 
 pub(super) fn check(path: &str, manifest: &str) -> Vec<Finding> {
@@ -44,7 +45,8 @@ pub(super) fn check(path: &str, manifest: &str) -> Vec<Finding> {
             findings.push(Finding::new(path, index + 1, format!("xtask is std only, not `{key}`")));
         }
     }
-    if !manifest.contains("[lints]\nworkspace = true") && name != "pgsag-gpu" && !manifest.contains("[lints.rust]") {
+    let takes_lints = manifest.contains("[lints]\nworkspace = true") || manifest.contains("[lints.rust]");
+    if !takes_lints && name != "pgsag-fuzz" {
         findings.push(Finding::new(path, 1, "the workspace's lints are not taken: `[lints] workspace = true`"));
     }
     findings

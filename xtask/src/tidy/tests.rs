@@ -59,10 +59,10 @@ fn attributes_say_why() {
 }
 
 #[test]
-fn unsafe_has_one_room() {
-    breaks(VOTE, "//! x\nfn a() { unsafe { b() } } // HERE", "lanes.rs");
+fn unsafe_has_no_room_here() {
+    breaks(VOTE, "//! x\nfn a() { unsafe { b() } } // HERE", "outside of pgsag-gpu");
     passes(VOTE, "//! unsafe in words\n#![forbid(unsafe_code)]\nconst A: &str = \"unsafe\";");
-    passes("crates/pgsag-splat/src/cpu/lanes.rs", "//! x\nfn a() { unsafe { b() } }");
+    passes("crates/pgsag-gpu/src/device.rs", "//! x\nfn a() { unsafe { b() } }");
 }
 
 #[test]
@@ -134,8 +134,13 @@ fn libraries_open_no_files() {
 
 #[test]
 fn empty_names_and_scripts_are_refused() {
-    let paths =
-        ["crates/a/src/utils.rs", "crates/a/src/glue/b.rs", "tools/run.sh", "data/readme.md", "crates/a/src/plan.rs"];
+    let paths = [
+        "crates/a/src/utils.rs",
+        "crates/a/src/glue/b.rs",
+        "tools/run.sh",
+        "data/readme.md",
+        "crates/a/tests/golden/b.py",
+    ];
     let findings = text::forbidden_names(&paths.map(str::to_owned));
     assert_eq!(findings.iter().map(|finding| finding.path.as_str()).collect::<Vec<_>>(), paths[..3]);
 }
