@@ -4,6 +4,8 @@
 //!
 //!     cargo run --release -p pgsag-splat --example iteration [level]
 
+#![expect(clippy::print_stdout, reason = "a report for a person")]
+
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 

@@ -80,7 +80,7 @@ fn splat(lens: &Lens<f64>, p: &[f64]) -> Splat {
 
 /// Colour, normal, distance and opacity of every pixel, Gaussian by Gaussian.
 fn naive(parameters: &[Vec<f64>], limits: Limits) -> Vec<[f64; 8]> {
-    let lens = projection::Lens::<f64>::new(&camera());
+    let lens = Lens::<f64>::new(&camera());
     let mut splats: Vec<Splat> = parameters.iter().map(|p| splat(&lens, p)).filter(|s| s.depth > 0.1).collect();
     splats.sort_by(|a, b| a.depth.total_cmp(&b.depth));
     let pixel = |i: usize| {
@@ -275,7 +275,7 @@ fn threads_change_no_bit() {
 #[test]
 fn levels_agree() {
     let limits = Limits { alpha_cut: 1e-6, ..Limits::default() };
-    let runs: Vec<(Vec<[f32; 8]>, Vec<Vec<f64>>)> = levels_with(limits)
+    let runs: Vec<(Vec<[f32; 8]>, _)> = levels_with(limits)
         .iter()
         .map(|cpu| {
             let device = cpu.upload(&state(cloud(400, 0.2, 7))).unwrap();

@@ -255,3 +255,6 @@ fn chain_depth<T: Scalar>(view: &LossView, maps: &RenderedMaps<'_, T>, d_depth: 
         0.0
     });
 }
+
+#[cfg(test)]
+mod tests;

@@ -113,7 +113,7 @@ const STEREO_SECS_PER_PIXEL: f64 = 45e-6;
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let config = config(run)?;
     let imported = Imported::read(&run.stage_folder("import"))?;
-    let pixels = |view: &View| dense::stereo_camera(&view.camera, &config).pixel_count() as u64;
+    let pixels = |view: &View| stereo_camera(&view.camera, &config).pixel_count() as u64;
     let stereo = if config.coarse.stereo { imported.scene.views.iter().map(pixels).sum::<u64>() } else { 0 };
     let largest = imported.scene.views.iter().map(|view| view.camera.pixel_count() as u64).max().unwrap_or(0);
     let points = imported.scene.points.len() as u64 + stereo / 20;

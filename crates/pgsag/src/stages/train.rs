@@ -269,11 +269,10 @@ fn learn<B: Backend>(job: &Job<'_>, trainer: &mut Trainer<'_, B>, log: &mut Live
     let due = Instant::now() + CHECKPOINT_INTERVAL;
     let mut failure = None;
     trainer.run(u32::MAX, &mut |progress| {
-        if progress.iteration.is_multiple_of(LOG_INTERVAL) || progress.iteration == progress.iterations {
-            if let Err(error) = log.line(&log_line(progress)) {
-                failure = Some(error);
-                return ControlFlow::Break(());
-            }
+        let is_due = progress.iteration.is_multiple_of(LOG_INTERVAL) || progress.iteration == progress.iterations;
+        if is_due && let Err(error) = log.line(&log_line(progress)) {
+            failure = Some(error);
+            return ControlFlow::Break(());
         }
         job.advance(progress.iteration.into(), progress.iterations.into(), "steps");
         if job.is_cancelled() || Instant::now() >= due { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
