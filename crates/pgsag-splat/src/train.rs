@@ -46,12 +46,12 @@ pub enum TrainError {
         what: String,
     },
     /// A view could not be brought; the source says why.
-    #[error("view {view}: {reason}")]
+    #[error("view {view}: {source}")]
     View {
         /// Index of the view.
         view: usize,
-        /// Its name and the cure, in the source's words.
-        reason: String,
+        /// What the source of the views says: the file's name and the cure.
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// Nothing to train on or with.
     #[error("nothing to train: {0}")]

@@ -51,7 +51,7 @@ pub fn read_cloud(path: &Path) -> Result<SplatCloud> {
     let (file, bytes) = read(path)?;
     let table = read_floats(&file, &bytes)?;
     let width = table.names.len();
-    let basis_count = (width - 14) / 3;
+    let basis_count = width.saturating_sub(14) / 3;
     ensure!(width >= 17 && table.names == names(basis_count), "{file}: is not laid out as a cloud of Gaussians");
     let sh_degree = (0..=3).find(|degree: &u8| (usize::from(*degree) + 1).pow(2) == basis_count);
     let mut cloud = SplatCloud {

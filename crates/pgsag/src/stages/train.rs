@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 use pgsag_group::{Group, GroupKind};
+use pgsag_scene::error::FileError;
 use pgsag_scene::{Mask, View};
 use pgsag_splat::SplatCloud;
 use pgsag_splat::backend::{Backend, Exposure, OptimizerState, TrainingView, ViewCamera};
@@ -165,10 +166,12 @@ impl ViewSource for GroupViews<'_> {
 
     fn view(&self, index: usize) -> Result<Arc<TrainingView>, TrainError> {
         let view = &self.group.views[index];
-        let name = &self.views[view.view_index as usize].name;
-        self.training_view(view.view_index as usize, view.window_px)
-            .map(Arc::new)
-            .map_err(|error| TrainError::View { view: index, reason: format!("{name}: {error:#}") })
+        let found = self.training_view(view.view_index as usize, view.window_px).map(Arc::new);
+        // A damaged photograph stays what it is, the user's to mend, on its way through the trainer.
+        found.map_err(|error| TrainError::View {
+            view: index,
+            source: error.downcast::<FileError>().map_or_else(Into::into, Into::into),
+        })
     }
 }
 
