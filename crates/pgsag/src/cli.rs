@@ -32,6 +32,9 @@ pub enum Command {
     /// Images and cameras -> building meshes. The same line again resumes.
     #[command(after_help = "Example:\n  pgsag reconstruct my-city -o my-city.run --preset fast --image-width 1600")]
     Reconstruct(ReconstructArgs),
+    /// Checks a scene before hours are spent.
+    #[command(after_help = "Example:\n  pgsag doctor my-city")]
+    Doctor(DoctorArgs),
     /// What would run and why, with memory, disk and time.
     #[command(after_help = "Example:\n  pgsag plan my-city --memory-limit 8GiB")]
     Plan(PlanArgs),

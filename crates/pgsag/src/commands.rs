@@ -19,6 +19,7 @@ use crate::{engine, run};
 
 mod config_table;
 mod demo;
+mod doctor;
 mod job;
 mod plan;
 mod reconstruct;
@@ -43,6 +44,7 @@ pub fn dispatch(cli: Cli) -> Result<()> {
     match cli.command {
         Command::Demo(args) => demo::run(&args, cli.json),
         Command::Reconstruct(args) => reconstruct::run(&args, cli.json),
+        Command::Doctor(args) => doctor::run(&args, cli.json),
         Command::Plan(args) => plan::run(&args, cli.json),
         Command::Status(args) => status::run(&args, cli.json),
         Command::Job(args) => job::run(&args, cli.json),

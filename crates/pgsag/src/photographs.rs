@@ -51,7 +51,13 @@ impl Photographs {
     /// The photographs of a run, keeping at most `bound_bytes` of them in memory.
     #[must_use]
     pub fn new(imported: &Imported, config: &Config, job: &Job<'_>, bound_bytes: u64) -> Self {
-        let cameras = imported.scene.views.iter().map(|view| training_camera(&view.camera, config.image_width));
+        Self::sized(imported, config, job, bound_bytes, config.image_width)
+    }
+
+    /// The same with another longest side than that of training (0: original).
+    #[must_use]
+    pub fn sized(imported: &Imported, config: &Config, job: &Job<'_>, bound_bytes: u64, longest_px: u32) -> Self {
+        let cameras = imported.scene.views.iter().map(|view| training_camera(&view.camera, longest_px));
         Self {
             folder: imported.folder(config.scene.as_ref()),
             photos: imported.photos.clone(),

@@ -1,13 +1,131 @@
-//! The report: one offline page.
+//! The report: one offline page of numbers, pictures, curves, warnings and the switches in force.
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
+use pgsag_mesh::score::Score;
+use serde_json::{Value, json};
 
-use crate::run::stage::Job;
+use crate::config::keys::{shown, unit};
+use crate::config::{Config, Preset, size_text};
+use crate::run::Run;
+use crate::run::manifest::Manifest;
+use crate::run::stage::{Job, Per};
+use crate::stages::import::Imported;
+use crate::stages::merge::Building;
+use crate::stages::train::Trained;
+
+pub mod curves;
+pub mod footprints;
+pub mod glb;
+pub mod pictures;
+
+const TEMPLATE: &str = include_str!("report/template.html");
+
+/// What the page shows beside what the run's folders say.
+pub struct Content<'a> {
+    /// The scene.
+    pub imported: &'a Imported,
+    /// Names of the groups.
+    pub groups: &'a [String],
+    /// Its buildings.
+    pub buildings: &'a [Building],
+    /// Whether masks told buildings apart.
+    pub masked: bool,
+    /// Faces of the whole surface.
+    pub face_count: usize,
+    /// Views with their pictures.
+    pub shown: Vec<pictures::Shown>,
+    /// Where there was a truth.
+    pub score: Option<Score>,
+}
 
 /// The page as text.
 ///
 /// # Errors
 /// Where an artifact cannot be read.
-pub fn page(job: &Job<'_>) -> Result<String> {
-    Ok(format!("<!doctype html><title>pgsag</title><p>{}</p>", job.run.backend))
+pub fn page(job: &Job<'_>, config: &Config, content: &Content<'_>) -> Result<String> {
+    let mut environment = minijinja::Environment::new();
+    environment.add_template("report.html", TEMPLATE).context("the report's template")?;
+    let template = environment.get_template("report.html").context("the report's template")?;
+    let groups = content.groups.iter().map(|name| group(job, name)).collect::<Result<Vec<_>>>()?;
+    let (jobs, warnings) = jobs(job.run)?;
+    let frame = &content.imported.scene.frame;
+    let settings = config.settings();
+    let defaults = Config::preset(Preset::Standard).settings();
+    let rows: Vec<Value> = settings
+        .iter()
+        .map(|(key, value)| {
+            json!({"key": key, "value": shown(value), "unit": unit(key), "changed": defaults.get(key) != Some(value)})
+        })
+        .collect();
+    let context = json!({
+        "version": env!("CARGO_PKG_VERSION"), "backend": job.run.backend, "seed": config.seed,
+        "scene": config.scene, "view_count": content.imported.scene.views.len(),
+        "point_count": content.imported.scene.points.len(), "frame": frame.source,
+        "scale_known": frame.metres_per_unit.is_some(), "masked": content.masked,
+        "face_count": content.face_count, "groups": groups, "buildings": content.buildings,
+        "shown": content.shown, "score": content.score, "jobs": jobs, "warnings": warnings, "settings": rows,
+    });
+    template.render(minijinja::value::Serde(&context)).context("the report")
+}
+
+/// A group with its curves and what images that were kept out say of it.
+fn group(job: &Job<'_>, name: &str) -> Result<Value> {
+    let summary = Trained::summary_of(&job.input("train").join(name))?;
+    let log = std::fs::read_to_string(job.run.log_path("train", name)).unwrap_or_default();
+    let curves: Vec<Value> = curves::curves(&log)
+        .into_iter()
+        .map(|curve| json!({"name": curve.name, "svg": curve.svg, "last": format!("{:.5}", curve.last)}))
+        .collect();
+    let held_out = &summary.held_out;
+    let mean = |of: fn(&crate::stages::train::HeldOut) -> f64| {
+        (!held_out.is_empty()).then(|| held_out.iter().map(of).sum::<f64>() / held_out.len() as f64)
+    };
+    let (psnr, ssim) = (mean(|image| image.psnr), mean(|image| image.ssim));
+    Ok(json!({
+        "name": name, "gaussians": summary.gaussians, "iterations": summary.iterations, "curves": curves,
+        "held_out": held_out.len(), "psnr": psnr.map(|value| format!("{value:.2}")),
+        "ssim": ssim.map(|value| format!("{value:.4}")),
+    }))
+}
+
+/// Cost of every finished job, and every warning with where it came from.
+fn jobs(run: &Run) -> Result<(Vec<Value>, Vec<Value>)> {
+    let (mut rows, mut warnings) = (Vec::new(), Vec::new());
+    for stage in run.table {
+        let names = match stage.per {
+            Per::Whole => vec![crate::run::stage::WHOLE.to_owned()],
+            _ => run.finished_jobs(stage.name).unwrap_or_default(),
+        };
+        for name in names {
+            // The report itself is not finished yet.
+            let Ok(manifest) = Manifest::read(&run.job_folder(stage, &name)) else { continue };
+            let measured = &manifest.measured;
+            rows.push(json!({
+                "stage": stage.name, "job": name, "wall": format!("{:.1}", measured.wall_secs),
+                "cpu": format!("{:.1}", measured.cpu_secs), "memory": size_text(measured.peak_memory_bytes),
+                "host": measured.host,
+            }));
+            warnings
+                .extend(manifest.warnings.iter().map(|text| json!({"stage": stage.name, "job": name, "text": text})));
+        }
+    }
+    Ok((rows, warnings))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_template_escapes_and_needs_nothing_from_outside() {
+        let mut environment = minijinja::Environment::new();
+        environment.add_template("report.html", TEMPLATE).expect("a good template");
+        let template = environment.get_template("report.html").expect("added");
+        let page = template
+            .render(minijinja::value::Serde(json!({"scene": "<b>&", "groups": [], "buildings": [], "shown": [],
+                "jobs": [], "warnings": [], "settings": [], "face_count": 3})))
+            .expect("renders");
+        assert!(page.contains("&lt;b&gt;&amp;"));
+        assert!(!page.contains("http://") && !page.contains("https://") && !page.contains("<script"), "offline");
+    }
 }

@@ -16,6 +16,7 @@ pub mod aoi;
 pub mod cloud;
 pub mod coarse;
 pub mod depth;
+pub mod forecast;
 pub mod fuse;
 pub mod group;
 pub mod import;

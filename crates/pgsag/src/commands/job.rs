@@ -9,6 +9,7 @@ use super::{cancel_on_signals, limits, open_run, progress, stored_settings};
 use crate::cli::JobArgs;
 use crate::config::Config;
 use crate::error::UserError;
+use crate::run::execute::refusal;
 use crate::run::plan::Decision;
 
 /// Runs the job, if it is not finished already.
@@ -52,7 +53,7 @@ pub(super) fn run(args: &JobArgs, json: bool) -> Result<()> {
         return Ok(());
     }
     if order.plan.cost.memory_bytes > limits.memory_bytes {
-        return Err(run.refusal(stage, order, limits).into());
+        return Err(refusal(stage.name, &args.job, order.plan.cost, limits).into());
     }
     let cancel = cancel_on_signals()?;
     if args.supervised {

@@ -13,7 +13,7 @@ use super::artifact::{self, Checkpoint};
 use super::manifest::{MANIFEST, Manifest, StageManifest};
 use super::plan::{Decision, Order};
 use super::progress::{Progress, relay};
-use super::stage::{Cancel, Job, Per, Stage, WHOLE};
+use super::stage::{Cancel, Cost, Job, Per, Stage, WHOLE};
 use super::{Run, machine};
 use crate::error::{Interrupted, UserError, exit_code};
 
@@ -187,7 +187,7 @@ impl Run {
             b.plan.cost.cpu_secs.total_cmp(&a.plan.cost.cpu_secs).then_with(|| a.plan.name.cmp(&b.plan.name))
         });
         if let Some(order) = pending.iter().find(|order| order.plan.cost.memory_bytes > limits.memory_bytes) {
-            return Err(self.refusal(stage, order, limits).into());
+            return Err(refusal(stage.name, &order.plan.name, order.plan.cost, limits).into());
         }
         let slots = limits.jobs.clamp(1, pending.len().max(1));
         let share = |order: &Order| Limits {
@@ -305,21 +305,6 @@ impl Run {
             }
         }
         outcome
-    }
-
-    /// Why a job that does not fit is not started, with the number that it needs.
-    #[must_use]
-    pub fn refusal(&self, stage: &Stage, order: &Order, limits: Limits) -> UserError {
-        let job = if order.plan.name == WHOLE { String::new() } else { format!(" {}", order.plan.name) };
-        UserError::new(
-            format!("{}{job}", stage.name),
-            format!(
-                "needs about {} of memory, more than the limit of {}",
-                crate::config::size_text(order.plan.cost.memory_bytes),
-                crate::config::size_text(limits.memory_bytes)
-            ),
-            "raise --memory-limit or lower --image-width",
-        )
     }
 
     /// Renames a complete attempt to its place and removes what is left of other attempts.
@@ -450,6 +435,21 @@ fn reasons(order: &Order) -> String {
     let words: Vec<String> = reasons.iter().take(3).map(ToString::to_string).collect();
     let more = reasons.len().saturating_sub(words.len());
     if more == 0 { words.join(", ") } else { format!("{} and {more} more", words.join(", ")) }
+}
+
+/// Why a job that does not fit is not started, with the number that it needs.
+#[must_use]
+pub fn refusal(stage: &str, job: &str, cost: Cost, limits: Limits) -> UserError {
+    let job = if job == WHOLE || job.is_empty() { String::new() } else { format!(" {job}") };
+    UserError::new(
+        format!("{stage}{job}"),
+        format!(
+            "needs about {} of memory, more than the limit of {}",
+            crate::config::size_text(cost.memory_bytes),
+            crate::config::size_text(limits.memory_bytes)
+        ),
+        "raise --memory-limit or lower --image-width",
+    )
 }
 
 /// Host and process of an attempt's folder.

@@ -7,8 +7,10 @@ use glam::DVec3;
 use pgsag_scene::Scene;
 use serde_json::Value;
 
+use super::{config, source_fingerprint};
 use crate::config::Config;
 use crate::error::UserError;
+use crate::run::Run;
 
 /// Rings of polygons in x and y; a point is inside where it is inside an odd number of rings.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -59,16 +61,28 @@ impl Area {
         self.is_everything() || self.rings.iter().filter(|ring| is_inside(ring, point_world)).count() % 2 == 1
     }
 
-    /// Whether a view sees a sparse point of it; true where points keep no tracks.
+    /// `[views]` Which views see a sparse point of it; all where points keep no tracks.
     #[must_use]
-    pub fn is_seen_by(&self, scene: &Scene, view_index: usize) -> bool {
-        if self.is_everything() || scene.points.iter().all(|point| point.track.is_empty()) {
-            return true;
+    pub fn views_seeing(&self, scene: &Scene) -> Vec<bool> {
+        let is_untracked = scene.points.iter().all(|point| point.track.is_empty());
+        let mut seen = vec![self.is_everything() || is_untracked; scene.views.len()];
+        if seen.contains(&false) {
+            for point in scene.points.iter().filter(|point| self.contains(point.position_world)) {
+                point.track.iter().for_each(|element| seen[element.view_index as usize] = true);
+            }
         }
-        let sees =
-            |track: &[pgsag_scene::TrackElement]| track.iter().any(|seen| seen.view_index as usize == view_index);
-        scene.points.iter().any(|point| sees(&point.track) && self.contains(point.position_world))
+        seen
     }
+}
+
+/// The polygon's file; another polygon is another answer, wherever it lies.
+pub(crate) fn sources(run: &Run) -> Result<Vec<(String, String)>> {
+    let aoi = config(run)?.aoi;
+    Ok(if aoi.is_empty() {
+        Vec::new()
+    } else {
+        vec![("area of interest".into(), source_fingerprint(Path::new(&aoi))?)]
+    })
 }
 
 fn collect(value: &Value, rings: &mut Vec<Vec<[f64; 2]>>) {

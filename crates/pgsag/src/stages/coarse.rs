@@ -17,6 +17,8 @@ use crate::run::stage::{Cost, Job, JobPlan};
 
 mod dense;
 
+pub(crate) use dense::stereo_camera;
+
 /// Points to begin from.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Coarse {

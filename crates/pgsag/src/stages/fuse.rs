@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use pgsag_group::{Group, GroupKind};
+use pgsag_mesh::fuse::{DepthMap, combine, merge_views};
 use pgsag_scene::files::raster::{decode_instances, encode_instances_png};
 use pgsag_scene::{Map, Pinhole, View};
 use rayon::prelude::*;
@@ -13,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::depth::{read_depth, write_depth};
 use super::group::{Extent, Groups};
 use super::import::Imported;
+use super::refine::classes_of;
 use super::{batch_file, batch_views, batches, config, read, read_json, view_file, write, write_json};
 use crate::photographs::training_camera;
 use crate::run::Run;
@@ -81,8 +83,8 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let camera = |view: &View| training_camera(&view.camera, width).pixel_count() as u64;
     let pixels = imported.scene.views.iter().map(camera).max().unwrap_or(0);
     let threads = rayon::current_num_threads() as u64;
-    Ok(batches(imported.scene.views.len(), &["import", "group", "depth"], |count| Cost {
-        memory_bytes: (64 << 20) + 48 * pixels * threads,
+    Ok(batches(imported.scene.views.len(), &["import", "refine", "group", "depth"], |count| Cost {
+        memory_bytes: (64 << 20) + 80 * pixels * threads,
         disk_bytes: count as u64 * pixels * 9,
         cpu_secs: count as f64 * pixels as f64 * 60e-9,
     }))
@@ -99,7 +101,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
             job.check()?;
             let view = &imported.scene.views[view_index];
             let camera = training_camera(&view.camera, config.image_width);
-            let Some(canvas) = fuse_view(job, &groups, view_index, &camera)? else { return Ok(None) };
+            let Some(canvas) = fuse_view(job, &groups, view_index, &camera, extent.gsd)? else { return Ok(None) };
             write_depth(job.output(), view_index, &canvas.depth, &canvas.weight)?;
             write(&job.output().join(view_file(view_index, "group.png")), &encode_instances_png(&canvas.group))?;
             Ok(Some(FusedView { view_index, cubes: cubes(&canvas.depth, &camera, view, &extent) }))
@@ -114,37 +116,62 @@ struct Canvas {
     group: Map<u16>,
 }
 
-/// Weighted mean where groups overlap; the pixel belongs to the surest of them.
-fn fuse_view(job: &Job<'_>, groups: &[Group], view_index: usize, camera: &Pinhole) -> Result<Option<Canvas>> {
-    let (width, height) = (camera.width, camera.height);
-    let mut canvas: Option<Canvas> = None;
+/// A group's depths on the canvas of the whole image.
+struct Layer {
+    kind: GroupKind,
+    number: u16,
+    map: DepthMap,
+}
+
+/// The building inside its mask, the mean where surfaces meet, else the nearer; each pixel belongs to the group whose
+/// depth is nearest to what came out.
+fn fuse_view(
+    job: &Job<'_>,
+    groups: &[Group],
+    view_index: usize,
+    camera: &Pinhole,
+    voxel: f64,
+) -> Result<Option<Canvas>> {
+    let mut layers = Vec::new();
     for group in groups {
-        let Some(view) = group.views.iter().find(|view| view.view_index as usize == view_index) else { continue };
-        let (depth, weight) = read_depth(&job.input("depth").join(group.id.to_string()), view_index)?;
-        let canvas = canvas.get_or_insert_with(|| Canvas {
-            depth: Map::filled(width, height, 0.0),
-            weight: Map::filled(width, height, 0.0),
-            group: Map::filled(width, height, 0),
-        });
-        let number = if group.id.kind == GroupKind::Building { group.id.number as u16 } else { 0 };
-        let [x0, y0, ..] = view.window_px;
-        for y in 0..depth.height {
-            for x in 0..depth.width {
-                let (z, w) = (depth.at(x, y), weight.at(x, y));
-                if !(z > 0.0 && w > 0.0) {
-                    continue;
-                }
-                let (u, v) = (x0 + x, y0 + y);
-                let (old_z, old_w) = (canvas.depth.at(u, v), canvas.weight.at(u, v));
-                canvas.depth.set(u, v, (old_z * old_w + z * w) / (old_w + w));
-                if w > old_w {
-                    canvas.group.set(u, v, number);
-                }
-                canvas.weight.set(u, v, old_w.max(w));
-            }
+        layers.extend(layer(job, group, view_index, camera)?);
+    }
+    let of = |kind: GroupKind| {
+        layers.iter().filter(move |layer| layer.kind == kind).map(|layer| &layer.map).collect::<Vec<_>>()
+    };
+    let joined = |maps: Vec<&DepthMap>| if maps.is_empty() { Ok(None) } else { combine(&maps, voxel).map(Some) };
+    let (buildings, background) = (joined(of(GroupKind::Building))?, joined(of(GroupKind::Background))?);
+    let fused = match (buildings, background) {
+        (Some(buildings), Some(background)) => {
+            let inside = classes_of(&job.input("refine"), view_index, GroupKind::Building)?;
+            merge_views(&buildings, inside.as_ref(), &background, voxel)?
+        }
+        (Some(one), None) | (None, Some(one)) => one,
+        (None, None) => return Ok(None),
+    };
+    let mut group = Map::filled(camera.width, camera.height, 0);
+    for (at, z) in fused.depth.values.iter().enumerate().filter(|(_, z)| **z > 0.0) {
+        let near = layers.iter().filter(|layer| layer.map.depth.values[at] > 0.0);
+        let off = |layer: &&Layer| (layer.map.depth.values[at] - z).abs();
+        group.values[at] = near.min_by(|a, b| off(a).total_cmp(&off(b))).map_or(0, |layer| layer.number);
+    }
+    Ok(Some(Canvas { depth: fused.depth, weight: fused.weight, group }))
+}
+
+fn layer(job: &Job<'_>, group: &Group, view_index: usize, camera: &Pinhole) -> Result<Option<Layer>> {
+    let Some(view) = group.views.iter().find(|view| view.view_index as usize == view_index) else { return Ok(None) };
+    let (depth, weight) = read_depth(&job.input("depth").join(group.id.to_string()), view_index)?;
+    let mut map = DepthMap::empty(camera.width, camera.height);
+    let [x0, y0, ..] = view.window_px;
+    for y in 0..depth.height {
+        for x in 0..depth.width {
+            map.depth.set(x0 + x, y0 + y, depth.at(x, y));
+            map.weight.set(x0 + x, y0 + y, weight.at(x, y));
         }
     }
-    Ok(canvas)
+    let kind = group.id.kind;
+    let number = if kind == GroupKind::Building { group.id.number as u16 } else { 0 };
+    Ok(Some(Layer { kind, number, map }))
 }
 
 fn cubes(depth: &Map<f32>, camera: &Pinhole, view: &View, extent: &Extent) -> BTreeSet<[i32; 3]> {

@@ -145,10 +145,14 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let config = config(job.run)?;
-    let scene = &job.read::<Coarse>("coarse")?.scene(job.read("import")?);
+    let imported: Imported = job.read("import")?;
+    let area = Area::of(&config)?;
+    // The coarse points keep no tracks, the sparse ones do.
+    let seen = area.views_seeing(&imported.scene);
+    let is_used = |view: usize| seen[view] && !is_held_out(view, config.holdout);
+    let scene = &job.read::<Coarse>("coarse")?.scene(imported);
     let states = states(job, scene.views.len())?;
     let votes: Votes = job.read("vote")?;
-    let area = Area::of(&config)?;
     let inside = |points: Vec<u32>| -> Vec<u32> {
         let within = |index: &u32| area.contains(scene.points[*index as usize].position_world);
         points.into_iter().filter(within).collect()
@@ -157,12 +161,12 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let masked = states.iter().any(|state| *state != MaskState::Unknown);
     if !masked {
         let points = inside((0..scene.points.len() as u32).collect());
-        groups.extend(whole_scene(scene, points, &area, &config));
+        groups.extend(whole_scene(scene, points, &is_used, &config));
     } else {
         let buildings = inside(building_points(&votes.0, &config.vote));
         let background = inside(background_points(&votes.0, &config.vote));
-        groups.extend(masked_group(job, scene, buildings, GroupKind::Building, &states, &area, &config)?);
-        groups.extend(masked_group(job, scene, background, GroupKind::Background, &states, &area, &config)?);
+        groups.extend(masked_group(job, scene, buildings, GroupKind::Building, &states, &is_used, &config)?);
+        groups.extend(masked_group(job, scene, background, GroupKind::Background, &states, &is_used, &config)?);
     }
     if groups.is_empty() {
         return Err(UserError::new(
@@ -213,11 +217,9 @@ fn extent(scene: &Scene, groups: &[Group], config: &Config) -> Option<Extent> {
 }
 
 /// Everything, in every view that is not held out.
-fn whole_scene(scene: &Scene, points: Vec<u32>, area: &Area, config: &Config) -> Option<Group> {
-    let views: Vec<GroupView> = (0..scene.views.len())
-        .filter(|view| !is_held_out(*view, config.holdout) && area.is_seen_by(scene, *view))
-        .map(|view| whole_view(scene, view, config))
-        .collect();
+fn whole_scene(scene: &Scene, points: Vec<u32>, is_used: &dyn Fn(usize) -> bool, config: &Config) -> Option<Group> {
+    let views: Vec<GroupView> =
+        (0..scene.views.len()).filter(|view| is_used(*view)).map(|view| whole_view(scene, view, config)).collect();
     group(scene, GroupKind::Building, points, views)
 }
 
@@ -236,14 +238,14 @@ fn masked_group(
     points: Vec<u32>,
     kind: GroupKind,
     states: &[MaskState],
-    area: &Area,
+    is_used: &dyn Fn(usize) -> bool,
     config: &Config,
 ) -> Result<Option<Group>> {
     let classes = job.input("refine");
     let mut views = Vec::new();
     for (view, state) in states.iter().enumerate() {
         job.check()?;
-        if is_held_out(view, config.holdout) || !area.is_seen_by(scene, view) {
+        if !is_used(view) {
             continue;
         }
         match (state, kind) {

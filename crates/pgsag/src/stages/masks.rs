@@ -75,7 +75,7 @@ pub fn mask_of(stage_folder: &Path, view_index: usize, state: MaskState) -> Resu
     if state == MaskState::Unknown {
         return Ok(None);
     }
-    let (file, bytes) = read(&batch_file(stage_folder, view_index, "png"))?;
+    let (file, bytes) = read(&batch_file(stage_folder, view_index, "mask.png"))?;
     Ok(Some(decode_mask(&file, &bytes)?))
 }
 
@@ -145,7 +145,7 @@ fn write_mask(job: &Job<'_>, folder: &SceneFolder, config: &Config, view: usize)
     let Some(mask) = folder.read_undistorted_mask(view)? else { return Ok(MaskState::Unknown) };
     let camera = training_camera(&folder.scene.views[view].camera, config.image_width);
     let mask = training_mask(&mask, &camera);
-    write(&job.output().join(view_file(view, "png")), &encode_mask_png(&mask))?;
+    write(&job.output().join(view_file(view, "mask.png")), &encode_mask_png(&mask))?;
     Ok(if mask.values.contains(&true) { MaskState::Buildings } else { MaskState::Empty })
 }
 

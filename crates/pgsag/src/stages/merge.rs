@@ -7,7 +7,8 @@ use anyhow::{Result, bail};
 use glam::DVec3;
 use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces, plan_pieces};
 use pgsag_mesh::merge::split_by_building;
-use pgsag_scene::Mesh;
+use pgsag_mesh::render::visibility;
+use pgsag_scene::{Mesh, Scene};
 use serde::{Deserialize, Serialize};
 
 use super::aoi::Area;
@@ -17,6 +18,7 @@ use super::mesh::{Surface, lattice_of, read_surface, write_surface};
 use super::{config, read_json, write_json};
 use crate::error::UserError;
 use crate::lengths::Lengths;
+use crate::photographs::training_camera;
 use crate::run::Run;
 use crate::run::artifact::Artifact;
 use crate::run::stage::{Cost, Job, JobPlan};
@@ -54,6 +56,10 @@ pub struct Building {
     pub area_m2: f64,
     /// From its lowest to its highest vertex along the up axis, metres.
     pub height_m: f64,
+    /// Images in which some of it is seen.
+    pub views: usize,
+    /// Share of its surface that at least three images see.
+    pub quality: f64,
 }
 
 /// The city and its buildings.
@@ -151,8 +157,9 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let up = imported.scene.frame.up_world;
     number_buildings(&mut city, up, cell, lengths.square_units(options.min_building_m2))?;
     let buildings = keep_faces(&city, |face| city.buildings[face] != 0);
-    let list =
-        split_by_building(&buildings).iter().map(|(n, mesh)| described(*n, mesh, up, &lengths)).collect::<Vec<_>>();
+    let parts = split_by_building(&buildings);
+    let mut list: Vec<Building> = parts.iter().map(|(n, mesh)| described(*n, mesh, up, &lengths)).collect();
+    sightings(&city, &parts, &imported.scene, &mut list);
     job.say(&format!("{} buildings, {} faces", list.len(), city.faces.len()));
     if list.is_empty() {
         job.warn("no building surface was found inside the masks");
@@ -202,7 +209,50 @@ fn described(building: u32, mesh: &Mesh, up: DVec3, lengths: &Lengths) -> Buildi
         faces: mesh.faces.len(),
         area_m2: lengths.square_metres(area),
         height_m: lengths.metres(span),
+        views: 0,
+        quality: 0.0,
     }
+}
+
+/// Images that are asked who they see; more tell little more.
+const MAX_ASKED: usize = 200;
+/// Longest side of the images that are asked.
+const ASKED_PX: u32 = 400;
+/// Faces of a building that are looked for.
+const MAX_FACES: usize = 2000;
+
+/// Counts the images that see each building and the share of its surface that three or more see.
+fn sightings(city: &Mesh, parts: &BTreeMap<u32, Mesh>, scene: &Scene, list: &mut [Building]) {
+    let samples: Vec<Vec<DVec3>> = parts.values().map(sample_centers).collect();
+    let mut counts: Vec<Vec<u32>> = samples.iter().map(|centers| vec![0; centers.len()]).collect();
+    let step = scene.views.len().div_ceil(MAX_ASKED).max(1);
+    for view in scene.views.iter().step_by(step) {
+        let camera = training_camera(&view.camera, ASKED_PX);
+        let seen = visibility(city, &camera, &view.camera_from_world);
+        for (building, (centers, counts)) in samples.iter().zip(&mut counts).enumerate() {
+            let mut any = false;
+            for (center, count) in centers.iter().zip(counts) {
+                let at = view.camera_from_world.transform_point(*center);
+                let Some(px) = camera.project(at).filter(|px| camera.contains(*px)) else { continue };
+                let depth = f64::from(seen.depth.at(px.x as u32, px.y as u32));
+                // Two pixels of the small image beside each other may lie this far apart on a steep wall.
+                if depth > 0.0 && at.z <= depth + 4.0 * at.z / camera.focal_px() {
+                    *count += 1;
+                    any = true;
+                }
+            }
+            list[building].views += usize::from(any);
+        }
+    }
+    for (building, counts) in list.iter_mut().zip(&counts) {
+        building.quality = counts.iter().filter(|count| **count >= 3).count() as f64 / counts.len().max(1) as f64;
+    }
+}
+
+fn sample_centers(mesh: &Mesh) -> Vec<DVec3> {
+    let step = mesh.faces.len().div_ceil(MAX_FACES).max(1);
+    let center = |face: usize| mesh.triangle(face).iter().map(|p| DVec3::from_array(*p)).sum::<DVec3>() / 3.0;
+    (0..mesh.faces.len()).step_by(step).map(center).collect()
 }
 
 #[cfg(test)]

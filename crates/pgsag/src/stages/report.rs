@@ -4,11 +4,20 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context as _, Result};
-use serde_json::json;
+use glam::DVec3;
+use pgsag_group::Group;
+use pgsag_mesh::components::keep_faces;
+use pgsag_mesh::merge::split_by_building;
+use pgsag_scene::{Frame, Mesh};
+use serde_json::{Value, json};
 
-use super::group::group_names;
+use super::group::Groups;
 use super::import::Imported;
-use super::{write, write_json};
+use super::merge::{Building, Merged};
+use super::score::Scored;
+use super::{config, write, write_json};
+use crate::config::Config;
+use crate::lengths::Lengths;
 use crate::report;
 use crate::run::Run;
 use crate::run::artifact::{Artifact, files_below};
@@ -39,12 +48,32 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
+    let config = config(job.run)?;
     let imported: Imported = job.read("import")?;
+    let Groups { groups, masked, .. } = job.read("group")?;
+    let names: Vec<String> = groups.iter().map(|group| group.id.to_string()).collect();
+    link_files(job, &names)?;
+    write_json(&job.output().join("georef.json"), &georef(&imported.scene.frame))?;
+    let Merged { city, list, .. } = job.read("merge")?;
+    let lengths = Lengths::of(&imported.scene);
+    write_json(&job.output().join("buildings.geojson"), &footprints(&city, &list, &config, &lengths))?;
+    write(&job.output().join("city.glb"), &viewable(&city, &imported.scene.frame, &groups))?;
+    let shown = report::pictures::shown(job, &config, &imported, &groups, &city)?;
+    let Scored(score) = job.read("score")?;
+    let face_count = city.faces.len();
+    drop(city);
+    let content =
+        report::Content { imported: &imported, groups: &names, buildings: &list, masked, face_count, shown, score };
+    let page = report::page(job, &config, &content)?;
+    write(&job.output().join("report.html"), page.as_bytes())
+}
+
+fn link_files(job: &Job<'_>, names: &[String]) -> Result<()> {
     let merge = job.input("merge");
     for file in files_below(&merge)?.iter().filter(|file| file.ends_with(".ply")) {
         link(&merge.join(file), &job.output().join(file))?;
     }
-    for name in &group_names(&job.input("group"))? {
+    for name in names {
         let to = job.output().join("gaussians").join(format!("{name}.ply"));
         link(&job.input("train").join(name).join("cloud.ply"), &to)?;
     }
@@ -52,15 +81,37 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     if score.exists() {
         link(&score, &job.output().join("score.json"))?;
     }
-    let frame = &imported.scene.frame;
-    let georef = json!({
+    Ok(())
+}
+
+fn georef(frame: &Frame) -> Value {
+    json!({
         "offset": frame.offset.to_array(), "epsg": frame.epsg, "vertical_datum": frame.vertical_datum,
         "origin_lla": frame.origin_lla, "metres_per_unit": frame.metres_per_unit,
         "up": frame.up_world.to_array(), "source": frame.source,
-    });
-    write_json(&job.output().join("georef.json"), &georef)?;
-    let page = report::page(job)?;
-    write(&job.output().join("report.html"), page.as_bytes())
+    })
+}
+
+/// Every building with its outline in scene coordinates; `georef.json` says where those lie on Earth.
+fn footprints(city: &Mesh, list: &[Building], config: &Config, lengths: &Lengths) -> Value {
+    let cell = lengths.units(config.buildings.plan_cell_m);
+    let parts = split_by_building(city);
+    let feature = |building: &Building| {
+        let empty = Mesh::default();
+        let mesh = parts.get(&building.building).unwrap_or(&empty);
+        json!({"type": "Feature", "properties": building, "geometry": report::footprints::outline(mesh, cell)})
+    };
+    json!({"type": "FeatureCollection", "coordinates_are": "scene coordinates, see georef.json",
+        "features": list.iter().map(feature).collect::<Vec<_>>()})
+}
+
+/// Buildings and background as two objects about the first group's origin.
+fn viewable(city: &Mesh, frame: &Frame, groups: &[Group]) -> Vec<u8> {
+    let origin = groups.first().map_or(DVec3::ZERO, |group| DVec3::from_array(group.origin_world));
+    let is_building = |face: usize| city.buildings.get(face).is_some_and(|building| *building != 0);
+    let buildings = keep_faces(city, is_building);
+    let background = keep_faces(city, |face| !is_building(face));
+    report::glb::encode(&[("buildings", &buildings), ("surroundings", &background)], origin, frame.up_world)
 }
 
 /// The same file under a second name, where the disk can do that.

@@ -11,6 +11,7 @@ use pgsag_scene::error::FileError;
 use pgsag_scene::{Mask, View};
 use pgsag_splat::SplatCloud;
 use pgsag_splat::backend::{Backend, Exposure, OptimizerState, TrainingView, ViewCamera};
+use pgsag_splat::train::density::{DensityOptions, bytes_per_gaussian};
 use pgsag_splat::train::{
     Checkpoint, Neighbor, Progress, TrainError, TrainOptions, Trainer, ViewSource, evaluate_view, initialise,
     neighbors_of,
@@ -35,8 +36,10 @@ use crate::run::stage::{Cost, Job, JobPlan, LiveLog};
 const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(120);
 /// Steps between two lines of the live log.
 const LOG_INTERVAL: u32 = 100;
-/// Bytes per Gaussian in training: parameters, gradients, moments, statistics and a share of the tile lists.
-const BYTES_PER_GAUSSIAN: u64 = 2200;
+/// Training never grows a group beyond this many Gaussians per point it began with …
+const MAX_GROWTH: usize = 8;
+/// … and this many more.
+const MAX_GROWTH_FLOOR: usize = 20_000;
 /// Bytes per pixel of a view in training: maps and their gradients, for the view and its neighbour.
 const BYTES_PER_PIXEL: u64 = 400;
 
@@ -90,6 +93,16 @@ impl Artifact for Trained {
     fn write(&self, folder: &Path) -> Result<()> {
         write_cloud(&folder.join("cloud.ply"), &self.cloud)?;
         write_json(&folder.join("train.json"), &self.summary)
+    }
+}
+
+impl Trained {
+    /// What training came to, without the Gaussians.
+    ///
+    /// # Errors
+    /// Where it is damaged.
+    pub fn summary_of(folder: &Path) -> Result<Summary> {
+        read_json(&folder.join("train.json"))
     }
 }
 
@@ -172,11 +185,12 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
         let window = pixels(|view| u64::from(view.window_px[2]) * u64::from(view.window_px[3]));
         let active =
             group.views.iter().map(|view| view.active_count).sum::<u64>() as f64 / group.views.len().max(1) as f64;
-        let gaussians = expected_gaussians(&group, &config);
+        let gaussians = gaussian_bound(&group, &config) as u64;
+        let each = bytes_per_gaussian(config.initialise.sh_degree);
         let cost = Cost {
-            memory_bytes: (128 << 20) + gaussians * BYTES_PER_GAUSSIAN + window * BYTES_PER_PIXEL,
+            memory_bytes: (128 << 20) + gaussians * each + window * BYTES_PER_PIXEL,
             disk_bytes: gaussians * 180,
-            cpu_secs: f64::from(config.train.iterations) * (active * 1.2e-6 + gaussians as f64 * 1.5e-6),
+            cpu_secs: f64::from(config.train.iterations) * (active * 1.2e-6 + gaussians as f64 * 0.4e-6),
         };
         let inputs = vec![("import", None), ("coarse", None), ("refine", None), ("group", Some(name.clone()))];
         Ok(JobPlan { name, inputs, cost })
@@ -184,11 +198,9 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     names.into_iter().map(plan).collect()
 }
 
-/// Training grows a group to a few times its points, never beyond what density control allows.
-fn expected_gaussians(group: &Group, config: &Config) -> u64 {
-    let active: u64 = group.views.iter().map(|view| view.active_count).sum();
-    let surface = active / (3 * group.views.len().max(1) as u64);
-    (6 * group.points.len() as u64).max(surface).min(config.train.density.max_gaussians as u64)
+/// The most Gaussians that training may come to: known before it starts, so that memory is.
+fn gaussian_bound(group: &Group, config: &Config) -> usize {
+    (MAX_GROWTH * group.points.len() + MAX_GROWTH_FLOOR).min(config.train.density.max_gaussians)
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
@@ -206,8 +218,8 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let views = GroupViews::new(&group, &imported.scene.views, &photographs, job);
     let points: Vec<_> = group.points.iter().map(|index| coarse.initial_point(*index as usize)).collect();
     let cloud = initialise(&points, group.origin_world, &config.initialise)?;
-    let mut options = TrainOptions { view_cache_bytes: job.memory_bytes / 5, ..config.train.clone() };
-    options.density.max_gaussians = expected_gaussians(&group, &config) as usize;
+    let density = DensityOptions { max_gaussians: gaussian_bound(&group, &config), ..config.train.density };
+    let options = TrainOptions { view_cache_bytes: job.memory_bytes / 5, density, ..config.train.clone() };
     let work = Train { job, views, neighbors, cloud, options, holdout: config.holdout };
     let trained = engine::run(&config.device, &config.simd, work)?;
     job.write(&trained)

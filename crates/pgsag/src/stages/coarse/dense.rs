@@ -27,7 +27,7 @@ use crate::stages::import::Imported;
 pub(super) const HELD_BYTES: u64 = 256 << 20;
 
 /// The camera of a view's image in stereo.
-pub(super) fn stereo_camera(camera: &Pinhole, config: &Config) -> Pinhole {
+pub(crate) fn stereo_camera(camera: &Pinhole, config: &Config) -> Pinhole {
     let training = training_camera(camera, config.image_width);
     let longest = f64::from(training.width.max(training.height));
     let options = &config.coarse;

@@ -1,0 +1,80 @@
+//! A whole run: it finishes, it is good enough, it does nothing twice, and the number of threads does not matter.
+
+use super::*;
+
+#[test]
+fn a_town_becomes_buildings_with_a_score() {
+    let (folder, result) = reference();
+    for name in [
+        "city.ply",
+        "buildings.ply",
+        "buildings/b001.ply",
+        "buildings/b002.ply",
+        "city.glb",
+        "buildings.geojson",
+        "gaussians/g001.ply",
+        "gaussians/bg01.ply",
+        "georef.json",
+        "score.json",
+    ] {
+        assert!(result.contains_key(name), "{name} is missing: {:?}", result.keys());
+    }
+    let score: Value = serde_json::from_slice(&result["score.json"]).expect("JSON");
+    let f1 = score["scores"][3]["f1"].as_f64().expect("a number");
+    assert!(f1 > 0.6, "F1 at {} m is {f1}", score["scores"][3]["threshold_m"]);
+    let report = fs::read_to_string(folder.path().join("run/result/report.html")).expect("a report");
+    assert!(report.contains("data:image/jpeg;base64,") && report.contains("<polyline") && !report.contains("http"));
+}
+
+#[test]
+fn a_finished_run_does_nothing_and_a_changed_setting_only_what_it_must() {
+    let (folder, _) = reference();
+    let copy = tempfile::tempdir().expect("temporary folder");
+    let run = copy.path().join("run");
+    let copied = Command::new("cp").arg("-r").arg(folder.path().join("run")).arg(&run).status().expect("cp");
+    assert!(copied.success());
+    let again = finish(reconstruct(town(), &run));
+    assert_eq!(last_line(&again)["ran"], 0, "{}", words(&again));
+    let mut finer = reconstruct(town(), &run);
+    finer.args(["--set", "surface.voxel_gsd=1.5"]);
+    // The cubes' surface, the merged city, its score and the report.
+    assert_eq!(last_line(&finish(finer))["ran"], 4);
+    let plan = finish({
+        let mut plan = pgsag(["plan"]);
+        plan.arg(&run).args(["--set", "train.weights.ncc=0.1"]);
+        plan
+    });
+    assert!(words(&plan).contains("train.weights.ncc: 0.15"), "{}", words(&plan));
+    let status = finish({
+        let mut status = pgsag(["status"]);
+        status.arg(&run);
+        status
+    });
+    assert!(words(&status).contains("0 running, 0 waiting, 0 failed"), "{}", words(&status));
+}
+
+#[test]
+fn two_threads_and_two_jobs_give_the_same_bytes_as_one() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let run = folder.path().join("run");
+    let mut command = reconstruct(town(), &run);
+    command.args(["--threads", "2", "--jobs", "2"]);
+    finish(command);
+    assert_eq!(differing(&result_of(&run), &reference().1), Vec::<String>::new());
+}
+
+#[test]
+fn without_masks_there_is_one_surface_and_it_is_said() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let run = folder.path().join("run");
+    let mut command = reconstruct(town(), &run);
+    command.args(["--masks", "none", "--iterations", "60", "--holdout", "6"]);
+    let output = finish(command);
+    assert!(words(&output).contains("buildings are not separated"), "{}", words(&output));
+    let result = result_of(&run);
+    assert_eq!(result["city.ply"], result["buildings.ply"]);
+    assert!(!result.contains_key("buildings/b001.ply"));
+    let summary = fs::read_to_string(run.join("07-train/g001/train.json")).expect("a summary");
+    let summary: Value = serde_json::from_str(&summary).expect("JSON");
+    assert_eq!(summary["held_out"].as_array().map(Vec::len), Some(2), "every sixth of twelve");
+}
