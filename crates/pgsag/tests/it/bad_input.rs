@@ -37,8 +37,7 @@ fn a_damaged_model_is_named() {
 fn a_damaged_photograph_is_named() {
     let (folder, scene) = copied_town();
     let image = fs::read_dir(scene.join("images")).expect("images").next().expect("one").expect("an entry").path();
-    let bytes = fs::read(&image).expect("an image");
-    fs::write(&image, &bytes[..bytes.len() / 3]).expect("written");
+    fs::write(&image, b"not a photograph").expect("written");
     let line = refusal(reconstruct(&scene, &folder.path().join("run")));
     let name = image.file_name().expect("a name").to_string_lossy().into_owned();
     assert!(line.contains(&name), "{line}");
