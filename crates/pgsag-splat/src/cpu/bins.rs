@@ -139,6 +139,8 @@ pub(crate) fn set_slopes(record: &mut Line) {
 }
 
 /// Appends the drawn tile slots in which some pixel centre may reach the alpha cut (log2), row by row.
+/// Inlined into vector code, where rounding is one instruction.
+#[inline(always)]
 pub(crate) fn touched_tiles(layout: &Layout, record: &Line, cut: f32, tiles: &mut Vec<u32>) {
     let r = &record.0;
     let (p, q, s) = (-r[XX], -r[XY], -r[YY]);
@@ -179,6 +181,7 @@ pub(crate) fn touched_tiles(layout: &Layout, record: &Line, cut: f32, tiles: &mu
 }
 
 /// First and last tile (at most `last`) with a pixel centre in `[middle - half, middle + half]`.
+#[inline(always)]
 fn tile_span(middle: f32, half: f32, last: f32) -> Option<(u32, u32)> {
     let tile = TILE as f32;
     let first = ((middle - half - (tile - 0.5)) / tile).ceil().max(0.0);

@@ -12,13 +12,13 @@ use super::{
     bins::{Bins, Entry},
     cloud::{CpuCloud, plane},
     lanes::{LANES, Line, at_level},
-    project::{Ellipses, GROUPS, coefficients},
+    project::{Ellipses, GROUPS, Lanes, coefficients},
     wide::{Carried, Wide},
 };
 use crate::backend::ViewCamera;
 use crate::equations::{
     Number, activation,
-    algebra::{Mat3, Vec3, add, each, mat_vec, sub, transpose_vec},
+    algebra::{Mat3, Vec3, add, mat_vec, sub, transpose_vec},
     covariance, harmonics,
     plane::{distance_grad, normal, normal_axis, normal_grad},
     projection::{self, Lens},
@@ -140,7 +140,7 @@ impl Task<'_> {
             }
             *touched = true;
             let values = &values[group * self.planes..][..self.planes];
-            let mut measures = [Line::ZERO; 5];
+            let mut measures = [Line::ZERO; 4];
             for at in (0..LANES).step_by(Wide::<S>::LEN) {
                 group_gradients(&lens, self.back, values, &sums, at, lines, &mut measures);
             }
@@ -187,7 +187,7 @@ impl Task<'_> {
     }
 
     /// Adds one group to the statistics. `measures`: A, B, C of the conic, radius.
-    fn count(&mut self, first: usize, sums: &GroupSums, measures: &[Line; 5]) {
+    fn count(&mut self, first: usize, sums: &GroupSums, measures: &[Line; 4]) {
         let pixels = self.back.averaged_pixels.unwrap_or(0.0);
         for lane in 0..LANES {
             let covered = sums.totals[sum::COVERED].0[lane];
@@ -195,7 +195,7 @@ impl Task<'_> {
                 continue;
             }
             let i = first + lane;
-            let [a, b, c, radius, _] = measures.map(|line| line.0[lane]);
+            let [a, b, c, radius] = measures.map(|line| line.0[lane]);
             let [vx, vy] = [sums.plain[0].0[lane], sums.plain[1].0[lane]];
             let (du, dv) = (a * vx + b * vy, b * vx + c * vy);
             let [au, av] = [sum::ABSOLUTE_U, sum::ABSOLUTE_V].map(|k| sums.totals[k].0[lane] * std::f32::consts::LN_2);
@@ -204,6 +204,22 @@ impl Task<'_> {
             self.statistics.visible[i] += 1;
             self.statistics.radius[i] = self.statistics.radius[i].max(radius);
         }
+    }
+}
+
+/// Where gradients of some lanes go.
+struct Out<'a, S: Carried> {
+    lines: &'a mut [Line],
+    at: usize,
+    /// Lanes that have gradients; in others they may be anything.
+    visible: S::mask32s,
+}
+
+impl<S: Carried> Out<'_, S> {
+    #[inline(always)]
+    fn add(&mut self, plane: usize, value: Wide<S>) {
+        let old = Wide::<S>::load(&self.lines[plane], self.at);
+        (old + Wide::select(self.visible, value, Wide::zero())).store(&mut self.lines[plane], self.at);
     }
 }
 
@@ -216,44 +232,42 @@ fn group_gradients<S: Carried>(
     sums: &GroupSums,
     at: usize,
     lines: &mut [Line],
-    measures: &mut [Line; 5],
+    measures: &mut [Line; 4],
 ) {
-    let load = |p: usize| Wide::<S>::load(&values[p], at);
-    let total = |k: usize| Wide::<S>::load(&sums.totals[k], at);
+    let lanes = Lanes { values, at };
+    let totals = Lanes { values: &sums.totals, at };
     let visible = Wide::<S>::zero().less(Wide::load(&sums.visible, at));
-    let mut put = |p: usize, value: Wide<S>| {
-        let old = Wide::<S>::load(&lines[p], at);
-        (old + Wide::select(visible, value, Wide::zero())).store(&mut lines[p], at);
-    };
-    let ellipses = Ellipses::new(lens, load);
+    let mut out = Out { lines, at, visible };
+    let ellipses = Ellipses::new(lens, lanes);
     let half = Wide::<S>::from_f64(-0.5);
     let [a, b, c] = ellipses.conic;
     for (line, value) in measures.iter_mut().zip([a, b, c, projection::radius(ellipses.screen_covariance)]) {
         value.store(line, at);
     }
 
-    let (vx, vy) = (total(sum::VX), total(sum::VY));
-    let d_conic = [half * total(sum::VXX), -total(sum::VXY), half * total(sum::VYY)];
+    let (vx, vy) = (totals.one(sum::VX), totals.one(sum::VY));
+    let d_conic = [half * totals.one(sum::VXX), -totals.one(sum::VXY), half * totals.one(sum::VYY)];
     let d_screen_covariance = projection::conic_grad(ellipses.conic, d_conic);
     let (mut d_point, d_covariance) =
         projection::screen_covariance_grad(lens, ellipses.point, &ellipses.covariance, d_screen_covariance);
     d_point = add(d_point, projection::screen_grad(lens, ellipses.point, [a * vx + b * vy, b * vx + c * vy]));
     let (mut d_rotation, d_scales) = covariance::covariance_grad(&ellipses.rotation, ellipses.scales, &d_covariance);
 
-    let mean: Vec3<Wide<S>> = each(|k| load(plane::MEAN + k));
+    let mean: Vec3<Wide<S>> = lanes.three(plane::MEAN);
     let (direction, reach) = harmonics::direction(mean, lens.eye);
-    let held = coefficients(back.sh_degree, load);
+    let held = coefficients(back.sh_degree, lanes);
     let rgb = harmonics::color(&held, direction, back.sh_degree);
-    let d_rgb = each(|k| total(sum::FEATURES + k));
+    let d_rgb = totals.three(sum::FEATURES);
     let (d_held, d_direction) = harmonics::color_grad(&held, direction, back.sh_degree, rgb, d_rgb);
     let mut d_mean = harmonics::direction_grad(direction, reach, d_direction);
     for l in 0..harmonics::basis_count(back.sh_degree) {
         for channel in 0..3 {
-            put(plane::HARMONICS + 3 * l + channel, d_held[l][channel]);
+            out.add(plane::HARMONICS + 3 * l + channel, d_held[l][channel]);
         }
     }
     if back.planes {
-        let d_planes = each(|k| total(sum::FEATURES + 3 + k));
+        let [nx, ny, nz] = totals.three(sum::FEATURES + 3);
+        let d_planes = [nx, ny, nz, totals.one(sum::FEATURES + 6)];
         d_point = add(d_point, plane_gradients(lens, &ellipses, sub(lens.eye, mean), d_planes, &mut d_rotation));
     }
     d_mean = add(d_mean, projection::to_camera_grad(lens, d_point));
@@ -262,13 +276,13 @@ fn group_gradients<S: Carried>(
     let (unit, norm) = ellipses.quaternion;
     let d_quaternion = activation::unit_quaternion_grad(unit, norm, covariance::rotation_grad(unit, &d_rotation));
     for axis in 0..3 {
-        put(plane::MEAN + axis, d_mean[axis]);
-        put(plane::LOG_SCALE + axis, d_log_scales[axis] + smallest[axis]);
+        out.add(plane::MEAN + axis, d_mean[axis]);
+        out.add(plane::LOG_SCALE + axis, d_log_scales[axis] + smallest[axis]);
     }
     for k in 0..4 {
-        put(plane::ROTATION + k, d_quaternion[k]);
+        out.add(plane::ROTATION + k, d_quaternion[k]);
     }
-    put(plane::OPACITY, total(sum::V) * (Wide::one() - ellipses.opacity));
+    out.add(plane::OPACITY, totals.one(sum::V) * (Wide::one() - ellipses.opacity));
 }
 
 /// Gradients of normal and distance (four): returns that of the mean in the camera frame, adds that of the rotation.

@@ -15,7 +15,7 @@ use super::{
 use crate::backend::ViewCamera;
 use crate::equations::{
     Number, activation,
-    algebra::{Mat3, Vec3, each, mat_vec, sub},
+    algebra::{Mat3, Vec3, mat_vec, sub},
     covariance, harmonics,
     plane::{distance, normal, normal_axis},
     projection::{self, Lens},
@@ -66,26 +66,60 @@ pub(crate) struct Ellipses<T> {
     pub(crate) opacity: T,
 }
 
-impl<T: Number> Ellipses<T> {
+/// Lanes of a group: the planes of 16, 8 or 4 Gaussians.
+#[derive(Clone, Copy)]
+pub(crate) struct Lanes<'a> {
+    /// The group's lines.
+    pub(crate) values: &'a [Line],
+    /// First lane.
+    pub(crate) at: usize,
+}
+
+impl Lanes<'_> {
+    /// One plane.
+    #[inline(always)]
+    pub(crate) fn one<S: Carried>(self, plane: usize) -> Wide<S> {
+        Wide::load(&self.values[plane], self.at)
+    }
+
+    /// Three planes from `plane` on.
+    #[inline(always)]
+    pub(crate) fn three<S: Carried>(self, plane: usize) -> Vec3<Wide<S>> {
+        [self.one(plane), self.one(plane + 1), self.one(plane + 2)]
+    }
+
+    /// The quaternion, as stored.
+    #[inline(always)]
+    pub(crate) fn quaternion<S: Carried>(self) -> [Wide<S>; 4] {
+        let [w, x, y] = self.three(plane::ROTATION);
+        [w, x, y, self.one(plane::ROTATION + 3)]
+    }
+}
+
+impl<S: Carried> Ellipses<Wide<S>> {
     /// Of stored parameters.
     #[inline(always)]
-    pub(crate) fn new(lens: &Lens<T>, at: impl Fn(usize) -> T) -> Self {
-        let quaternion = activation::unit_quaternion(each(|k| at(plane::ROTATION + k)));
+    pub(crate) fn new(lens: &Lens<Wide<S>>, lanes: Lanes<'_>) -> Self {
+        let quaternion = activation::unit_quaternion(lanes.quaternion());
         let rotation = covariance::rotation(quaternion.0);
-        let scales = activation::scales(each(|k| at(plane::LOG_SCALE + k)));
+        let scales = activation::scales(lanes.three(plane::LOG_SCALE));
         let covariance = covariance::covariance(&rotation, scales);
-        let point = projection::to_camera(lens, each(|k| at(plane::MEAN + k)));
+        let point = projection::to_camera(lens, lanes.three(plane::MEAN));
         let screen_covariance = projection::screen_covariance(lens, point, &covariance);
         let conic = projection::conic(screen_covariance);
-        let opacity = activation::opacity(at(plane::OPACITY));
+        let opacity = activation::opacity(lanes.one(plane::OPACITY));
         Self { quaternion, rotation, scales, covariance, point, screen_covariance, conic, opacity }
     }
 }
 
 /// The coefficients in use of a group.
 #[inline(always)]
-pub(crate) fn coefficients<T: Number>(degree: u8, at: impl Fn(usize) -> T) -> [[T; 3]; harmonics::BASIS_MAX] {
-    each(|l| each(|c| if l < harmonics::basis_count(degree) { at(plane::HARMONICS + 3 * l + c) } else { T::zero() }))
+pub(crate) fn coefficients<S: Carried>(degree: u8, lanes: Lanes<'_>) -> [Vec3<Wide<S>>; harmonics::BASIS_MAX] {
+    let mut out = [[Wide::zero(); 3]; harmonics::BASIS_MAX];
+    for l in 0..harmonics::basis_count(degree) {
+        out[l] = lanes.three(plane::HARMONICS + 3 * l);
+    }
+    out
 }
 
 /// Projects the whole cloud: writes `records` (by Gaussian; only of those that touch a drawn tile), and the lists of tiles.
@@ -192,7 +226,7 @@ fn ellipse_fields<S: Carried>(
     fields: &mut [Line; 16],
     depths: &mut Line,
 ) {
-    let ellipses = Ellipses::new(lens, |p| Wide::load(&values[p], at));
+    let ellipses = Ellipses::new(lens, Lanes { values, at });
     let [u, v] = projection::screen(lens, ellipses.point);
     let [a, b, c] = ellipses.conic;
     let log2_e = Wide::from_f64(std::f64::consts::LOG2_E);
@@ -212,17 +246,17 @@ fn feature_fields<S: Carried>(
     projection: &Projection<'_>,
     fields: &mut [Line; 16],
 ) {
-    let load = |p: usize| Wide::<S>::load(&values[p], at);
-    let mean: Vec3<Wide<S>> = each(|k| load(plane::MEAN + k));
+    let lanes = Lanes { values, at };
+    let mean: Vec3<Wide<S>> = lanes.three(plane::MEAN);
     let (direction, _) = harmonics::direction(mean, lens.eye);
-    let rgb = harmonics::color(&coefficients(projection.sh_degree, load), direction, projection.sh_degree);
+    let rgb = harmonics::color(&coefficients(projection.sh_degree, lanes), direction, projection.sh_degree);
     for k in 0..3 {
         rgb[k].store(&mut fields[place::FEATURES + k], at);
     }
     if projection.planes {
-        let (unit, _) = activation::unit_quaternion(each(|k| load(plane::ROTATION + k)));
+        let (unit, _) = activation::unit_quaternion(lanes.quaternion());
         let rotation = covariance::rotation(unit);
-        let scales = activation::scales(each(|k| load(plane::LOG_SCALE + k)));
+        let scales = activation::scales(lanes.three(plane::LOG_SCALE));
         let axis = normal_axis(&rotation, scales, sub(lens.eye, mean));
         let facing = mat_vec(&lens.rotation, normal(&rotation, axis));
         for k in 0..3 {

@@ -132,13 +132,13 @@ impl CpuRender {
         self.buffers.seen = seen;
     }
 
-    /// Walks all tiles back; `sums` and `plain` become `[pairs]` (`plain` only where load and statistics meet).
+    /// Walks all tiles back; `sums` and `plain` become `[pairs]` (`plain` only with a load).
     pub(crate) fn unblend(&self, level: Level, sums: &mut Vec<Line>, plain: &mut Vec<[f32; 2]>) {
         let bins = &self.buffers.bins;
         let (load, statistics) = (!self.buffers.load_gradient.is_empty(), self.options.statistics);
         let pairs = self.buffers.blocks.len();
         sums.resize(pairs, Line::ZERO);
-        plain.resize(if load && statistics { pairs } else { 0 }, [0.0; 2]);
+        plain.resize(if load { pairs } else { 0 }, [0.0; 2]);
         if self.buffers.upstream.is_empty() {
             sums.fill(Line::ZERO);
             return;
@@ -153,13 +153,11 @@ impl CpuRender {
             };
             at_level!(level, simd => match (self.options.planes, statistics, load) {
                 (false, false, false) => unblend::<_, 3, 5, false, false>(simd, &tile, &upstream, out, plain),
-                (false, false, true) => unblend::<_, 3, 5, false, true>(simd, &tile, &upstream, out, plain),
                 (false, true, false) => unblend::<_, 3, 5, true, false>(simd, &tile, &upstream, out, plain),
-                (false, true, true) => unblend::<_, 3, 5, true, true>(simd, &tile, &upstream, out, plain),
+                (false, _, true) => unblend::<_, 3, 5, true, true>(simd, &tile, &upstream, out, plain),
                 (true, false, false) => unblend::<_, 7, 9, false, false>(simd, &tile, &upstream, out, plain),
-                (true, false, true) => unblend::<_, 7, 9, false, true>(simd, &tile, &upstream, out, plain),
                 (true, true, false) => unblend::<_, 7, 9, true, false>(simd, &tile, &upstream, out, plain),
-                (true, true, true) => unblend::<_, 7, 9, true, true>(simd, &tile, &upstream, out, plain),
+                (true, _, true) => unblend::<_, 7, 9, true, true>(simd, &tile, &upstream, out, plain),
             });
         });
     }

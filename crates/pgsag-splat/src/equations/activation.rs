@@ -20,7 +20,7 @@ pub fn opacity_grad<T: Number>(opacity: T, d_opacity: T) -> T {
 ///     s = e^x
 #[inline(always)]
 pub fn scales<T: Number>(log_scales: [T; 3]) -> [T; 3] {
-    each(|axis| log_scales[axis].exp())
+    [log_scales[0].exp(), log_scales[1].exp(), log_scales[2].exp()]
 }
 
 /// ∂s/∂x = s

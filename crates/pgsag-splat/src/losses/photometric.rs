@@ -19,6 +19,8 @@ const SIGMA_PX: f64 = 1.5;
 const C1: f64 = 1e-4;
 /// (0.03)². Wang 2004.
 const C2: f64 = 9e-4;
+/// Columns that are worked at once: loops over so many are what compilers make vectors of.
+const LANES: usize = 16;
 /// Rows of a band.
 const BAND: usize = 96;
 /// Rows of a window.
@@ -174,8 +176,9 @@ struct Band<'a, T> {
 
 impl<'a, T: Scalar> Band<'a, T> {
     fn new(source: Source<'a, T>, columns: Range<usize>, first: usize, kernel: &'a [T; HALF + 1]) -> Self {
-        let narrow = || vec![T::zero(); columns.len()];
-        let wide = || vec![T::zero(); columns.len() + 2 * HALF];
+        let width = columns.len().next_multiple_of(LANES);
+        let narrow = || vec![T::zero(); width];
+        let wide = || vec![T::zero(); width + 2 * HALF];
         let ring = || (0..TAPS).map(|_| narrow()).collect::<Vec<_>>();
         Self {
             source,
@@ -225,10 +228,10 @@ impl<'a, T: Scalar> Band<'a, T> {
                 }
             }
         }
-        for i in 0..self.pair[0].len() {
-            let (x, y) = (self.pair[0][i], self.pair[1][i]);
-            self.products[0][i] = x * x + y * y;
-            self.products[1][i] = x * y;
+        let ([x, y], [squares, product]) = (&self.pair, &mut self.products);
+        for ((x, y), (square, product)) in x.iter().zip(y).zip(squares.iter_mut().zip(product)) {
+            *square = *x * *x + *y * *y;
+            *product = *x * *y;
         }
         let slot = turn % TAPS;
         for (ring, row) in self.means.iter_mut().zip(self.pair.iter().chain(&self.products)) {
@@ -248,14 +251,14 @@ impl<'a, T: Scalar> Band<'a, T> {
         let mut loss = 0.0;
         if let Some(y) = (self.first + turn).checked_sub(3 * HALF).filter(|&y| y < view.height) {
             let own = (3 * HALF..rows + 3 * HALF).contains(&turn);
-            let counts = &view.classes[y * view.width..][self.columns.clone()];
-            for i in 0..self.columns.len() {
-                let (s, slopes) = similarity([self.line[0][i], self.line[1][i], self.line[2][i], self.line[3][i]]);
-                let counted = !self.source.weights.mean_over_mask || counts[i].is_active();
-                for (row, slope) in self.slopes.iter_mut().zip(slopes) {
-                    row[i + HALF] = if counted { slope } else { T::zero() };
+            let classes = &view.classes[y * view.width..][self.columns.clone()];
+            for (chunk, classes) in classes.chunks(LANES).enumerate() {
+                let mut keep = [T::zero(); LANES];
+                for (keep, class) in keep.iter_mut().zip(classes) {
+                    *keep = if !self.source.weights.mean_over_mask || class.is_active() { T::one() } else { T::zero() };
                 }
-                loss += if counted && own { 1.0 - s.to_f64() } else { 0.0 };
+                let sum = self.compare_chunk(chunk, &keep);
+                loss += if own { sum } else { 0.0 };
             }
         }
         let slot = turn % TAPS;
@@ -263,6 +266,27 @@ impl<'a, T: Scalar> Band<'a, T> {
             blur_along(self.kernel, row, &mut ring[slot]);
         }
         loss
+    }
+
+    /// SSIM of a chunk of the row whose window means are in `line`, where `keep` is 1: its slopes and sum of 1 − S.
+    #[inline(always)]
+    fn compare_chunk(&mut self, chunk: usize, keep: &[T; LANES]) -> f64 {
+        let [x, y, squares, product] = &self.line;
+        let lanes = |row: &Vec<T>| row.as_chunks::<LANES>().0[chunk];
+        let (x, y, squares, product) = (lanes(x), lanes(y), lanes(squares), lanes(product));
+        let mut slopes = [[T::zero(); LANES]; 3];
+        let mut loss = [T::zero(); LANES];
+        for i in 0..LANES {
+            let (s, [mean, square, mixed]) = similarity([x[i], y[i], squares[i], product[i]]);
+            loss[i] = keep[i] * (T::one() - s);
+            slopes[0][i] = keep[i] * mean;
+            slopes[1][i] = keep[i] * square;
+            slopes[2][i] = keep[i] * mixed;
+        }
+        for (row, slope) in self.slopes.iter_mut().zip(&slopes) {
+            row[chunk * LANES + HALF..][..LANES].copy_from_slice(slope);
+        }
+        loss.iter().map(|value| value.to_f64()).sum()
     }
 
     /// Writes image row `first + turn − 20`.
@@ -312,28 +336,38 @@ fn similarity<T: Scalar>(means: [T; 4]) -> (T, [T; 3]) {
 /// Convolves a row: `out[i]` is the window about `row[i + HALF]`.
 #[inline(always)]
 fn blur_along<T: Scalar>(kernel: &[T; HALF + 1], row: &[T], out: &mut [T]) {
-    let count = out.len();
-    let row = &row[..count + 2 * HALF];
-    for i in 0..count {
-        let mut sum = kernel[0] * row[i + HALF];
-        for tap in 1..=HALF {
-            sum += kernel[tap] * (row[i + HALF - tap] + row[i + HALF + tap]);
+    for (chunk, out) in out.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+        let row = &row[chunk * LANES..][..LANES + 2 * HALF];
+        let mut sum = [T::zero(); LANES];
+        for i in 0..LANES {
+            sum[i] = kernel[0] * row[i + HALF];
         }
-        out[i] = sum;
+        for tap in 1..=HALF {
+            for i in 0..LANES {
+                sum[i] += kernel[tap] * (row[i + HALF - tap] + row[i + HALF + tap]);
+            }
+        }
+        *out = sum;
     }
 }
 
 /// Convolves across the eleven rows of a ring whose newest was written at `turn`.
 #[inline(always)]
 fn blur_across<T: Scalar>(kernel: &[T; HALF + 1], ring: &[Vec<T>], turn: usize, out: &mut [T]) {
-    let count = out.len();
-    let rows: [&[T]; TAPS] = std::array::from_fn(|i| &ring[(turn + 1 + i) % TAPS][..count]);
-    for i in 0..count {
-        let mut sum = kernel[0] * rows[HALF][i];
-        for tap in 1..=HALF {
-            sum += kernel[tap] * (rows[HALF - tap][i] + rows[HALF + tap][i]);
+    for (chunk, out) in out.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+        let row = |i: usize| &ring[(turn + 1 + i) % TAPS].as_chunks::<LANES>().0[chunk];
+        let middle = row(HALF);
+        let mut sum = [T::zero(); LANES];
+        for i in 0..LANES {
+            sum[i] = kernel[0] * middle[i];
         }
-        out[i] = sum;
+        for tap in 1..=HALF {
+            let (above, below) = (row(HALF - tap), row(HALF + tap));
+            for i in 0..LANES {
+                sum[i] += kernel[tap] * (above[i] + below[i]);
+            }
+        }
+        *out = sum;
     }
 }
 
