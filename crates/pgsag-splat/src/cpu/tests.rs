@@ -80,7 +80,7 @@ fn splat(lens: &Lens<f64>, p: &[f64]) -> Splat {
 
 /// Colour, normal, distance and opacity of every pixel, Gaussian by Gaussian.
 fn naive(parameters: &[Vec<f64>], limits: Limits) -> Vec<[f64; 8]> {
-    let lens = projection::Lens::<f64>::new(&camera());
+    let lens = Lens::<f64>::new(&camera());
     let mut splats: Vec<Splat> = parameters.iter().map(|p| splat(&lens, p)).filter(|s| s.depth > 0.1).collect();
     splats.sort_by(|a, b| a.depth.total_cmp(&b.depth));
     let pixel = |i: usize| {
