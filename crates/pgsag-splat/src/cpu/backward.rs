@@ -119,7 +119,6 @@ struct Place<'a> {
 }
 
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "the walk's registers; a struct of them would live in memory")]
 fn walk<S: Simd, const F: usize, const P: usize, const STATISTICS: bool, const LOAD: bool>(
     simd: S,
     tile: &Tile<'_>,

@@ -30,7 +30,7 @@ fn exponent(record: &Line, x: u32, y: u32) -> f32 {
 #[test]
 fn no_pixel_is_lost_and_few_tiles_are_too_many() {
     let layout = Layout::new(100, 70, |x, y| x + y > 30);
-    let cut = (1.0f32 / 255.0).log2();
+    let cut = libm::log2f(1.0 / 255.0);
     let mut stream = SplitMix64::new(5);
     let (mut kept, mut needed) = (0, 0);
     for _ in 0..500 {
