@@ -89,6 +89,9 @@ fn weights(planes: bool) -> LossWeights {
 
 const RATES: Rates = Rates { means: 1e-7, scales: 1e-7, rotations: 1e-7, opacity: 1e-7, color: 1e-7, harmonics: 1e-7 };
 
+/// When the last phase ended, and what each took, CPU milliseconds.
+type Spent = (f64, Vec<(&'static str, f64)>);
+
 /// Mean milliseconds of each phase over some iterations, in order of phases, and blended entries per pixel.
 fn measure(
     simd: SimdLevel,
@@ -97,7 +100,7 @@ fn measure(
     planes: bool,
     repeats: u32,
 ) -> (Vec<(String, f64)>, f64) {
-    let phases: Arc<Mutex<(f64, Vec<(&'static str, f64)>)>> = Arc::default();
+    let phases: Arc<Mutex<Spent>> = Arc::default();
     let record = Arc::clone(&phases);
     let probe = move |name| {
         if let Ok(mut phases) = record.lock() {
@@ -149,6 +152,7 @@ fn measure(
     (means.into_values().collect(), entries)
 }
 
+#[expect(clippy::print_stdout, reason = "the table is what this is for")]
 fn main() {
     let simd = match std::env::args().nth(1).as_deref() {
         Some("avx512") => SimdLevel::Avx512,

@@ -102,7 +102,7 @@ fn write_model(town: &Town, root: &Path) -> Result<()> {
         write_file(&root.join("sparse/0").join(name), &bytes)?;
     }
     fs::create_dir_all(root.join("images"))?;
-    write_file(&root.join("georef.json"), &serde_json::to_vec_pretty(&town.scene.frame)?)
+    write_file(&root.join("georef.json"), &pgsag_scene::files::georef::write_georef(&town.scene.frame))
 }
 
 fn write_truth(town: &Town, options: &FolderOptions, root: &Path) -> Result<()> {

@@ -120,7 +120,7 @@ pub(crate) use at_level;
 /// 2 to the power of `x`, for `x` in [-126, 126]; anything outside. Relative error 7.5e-8 (degree 5 on [-1/2, 1/2]).
 /// Own polynomial, so that every machine computes the same.
 #[inline(always)]
-#[expect(clippy::approx_constant, reason = "a fitted coefficient, close to ln 2 and not it")]
+#[expect(clippy::approx_constant, reason = "the coefficient of the best polynomial is near ln 2, and is not ln 2")]
 pub(crate) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     /// 1.5 · 2^23: adding it leaves the nearest integer in the low bits of the significand.
     const ROUND: f32 = 12_582_912.0;
