@@ -4,8 +4,6 @@
 //!
 //!     cargo run --release -p pgsag-splat --example iteration [level]
 
-#![expect(clippy::print_stdout, reason = "a report for a person")]
-
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 

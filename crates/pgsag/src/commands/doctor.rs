@@ -68,7 +68,7 @@ pub(super) fn run(args: &DoctorArgs, json: bool) -> Result<()> {
     findings.extend(geometry::findings(&scene.scene));
     findings.extend(pixels::findings(&scene));
     findings.extend(devices());
-    findings.sort_by(|a, b| b.severity.cmp(&a.severity));
+    findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     for finding in &findings {
         if json {
             print(&serde_json::to_string(finding)?)?;

@@ -89,7 +89,7 @@ fn trace(cells: &BTreeSet<Corner>) -> Vec<Vec<Corner>> {
 
 /// Douglas-Peucker on both halves of a ring, then without corners that do not turn.
 fn smoothed(ring: &[[f64; 2]], cell: f64) -> Vec<[f64; 2]> {
-    let distance = |p: [f64; 2], q: [f64; 2]| (p[0] - q[0]).hypot(p[1] - q[1]);
+    let distance = |p: [f64; 2], q: [f64; 2]| libm::hypot(p[0] - q[0], p[1] - q[1]);
     let Some(far) = (0..ring.len()).max_by(|a, b| distance(ring[0], ring[*a]).total_cmp(&distance(ring[0], ring[*b])))
     else {
         return Vec::new();
@@ -107,7 +107,7 @@ fn smoothed(ring: &[[f64; 2]], cell: f64) -> Vec<[f64; 2]> {
 fn simplify(line: &[[f64; 2]], tolerance: f64, kept: &mut Vec<[f64; 2]>) {
     let (Some(&first), Some(&last)) = (line.first(), line.last()) else { return };
     let along = [last[0] - first[0], last[1] - first[1]];
-    let length = along[0].hypot(along[1]).max(1e-300);
+    let length = libm::hypot(along[0], along[1]).max(1e-300);
     let off = |p: &[f64; 2]| ((p[0] - first[0]) * along[1] - (p[1] - first[1]) * along[0]).abs() / length;
     let worst = (1..line.len().saturating_sub(1)).max_by(|a, b| off(&line[*a]).total_cmp(&off(&line[*b])));
     match worst {

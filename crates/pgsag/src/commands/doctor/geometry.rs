@@ -70,7 +70,7 @@ fn observations(scene: &Scene) -> impl Iterator<Item = (usize, f64, f64, f64)> +
             let view = &scene.views[seen.view_index as usize];
             let at = poses[seen.view_index as usize].transform_point(point.position_world);
             let px = view.camera.project(at)?;
-            let error = (px.x - f64::from(seen.xy_px[0])).hypot(px.y - f64::from(seen.xy_px[1]));
+            let error = libm::hypot(px.x - f64::from(seen.xy_px[0]), px.y - f64::from(seen.xy_px[1]));
             Some((seen.view_index as usize, at.z, view.camera.focal_px(), error))
         })
     })
