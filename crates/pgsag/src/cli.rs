@@ -10,7 +10,7 @@ use crate::config::{self, Preset, Resolved, Typed};
 
 /// Drone photographs of a city to clean, separate, measurable building meshes.
 #[derive(Debug, Parser)]
-#[command(name = "pgsag", version, max_term_width = 110)]
+#[command(args_override_self = true, name = "pgsag", version, max_term_width = 110)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]

@@ -102,6 +102,10 @@ impl Launcher for Children {
             }
         })?;
         let words = words.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if matches!(status.code(), Some(75 | 130)) {
+            // Who was asked to stop says with which code; the child only saved.
+            self.here.cancel.check()?;
+        }
         end_of_child(status.code(), &words, stage.name, job)
     }
 }

@@ -23,7 +23,9 @@ fn a_town_becomes_buildings_with_a_score() {
     let f1 = score["scores"][3]["f1"].as_f64().expect("a number");
     assert!(f1 > 0.6, "F1 at {} m is {f1}", score["scores"][3]["threshold_m"]);
     let report = fs::read_to_string(folder.path().join("run/result/report.html")).expect("a report");
-    assert!(report.contains("data:image/jpeg;base64,") && report.contains("<polyline") && !report.contains("http"));
+    assert!(report.contains("data:image/jpeg;base64,"), "pictures");
+    assert!(report.contains("<polyline"), "curves");
+    assert!(!report.contains("http://") && !report.contains("https://"), "offline");
 }
 
 #[test]
