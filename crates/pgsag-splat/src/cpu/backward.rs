@@ -6,7 +6,9 @@
 //! Gaussians are the outer loop: the sums of one Gaussian over the tile stay in registers, are folded by one tree and
 //! stored as one record at the pair's place. No two tiles share a place, so there is nothing atomic.
 //!
-//!     ĝc_k = w ĝ_k,   ĝα = T d − rest / (1 − α),   v = α ĝα   (0 where alpha is held at its maximum)
+//! ```text
+//! ĝc_k = w ĝ_k,   ĝα = T d − rest / (1 − α),   v = α ĝα   (0 where alpha is held at its maximum)
+//! ```
 
 use std::sync::atomic::Ordering::Relaxed;
 

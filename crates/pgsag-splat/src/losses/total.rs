@@ -1,6 +1,8 @@
 //! Eq. 10-11: all terms with weight, their sum, and the gradient of every rendered map.
 //!
-//!     L = L_rgb + λ₁ L_geo + λ₂ L_ncc + λ₃ L_s + λ₄ L_ban + λ_free L_free + λ/(1−λ) · s σ
+//! ```text
+//! L = L_rgb + λ₁ L_geo + λ₂ L_ncc + λ₃ L_s + λ₄ L_ban + λ_free L_free + λ/(1−λ) · s σ
+//! ```
 //! The paper's overall factor (1 − λ) is dropped: Adam ignores it, and it would only move thresholds.
 //! Depth is made of N and D here (Eq. 4), so that the terms speak of depth and backends of N and D alone.
 
