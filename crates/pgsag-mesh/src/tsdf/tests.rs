@@ -143,15 +143,16 @@ fn free_space_removes_what_one_view_invented() {
 }
 
 #[test]
-fn a_parapet_stays_open_behind() {
-    // Two voxels behind the surface and no more: a wall of five voxels between two roofs keeps its other side.
-    let mut volume = Volume::new(lattice(), region(), TsdfOptions::default()).unwrap();
-    volume.integrate(&view_of(DVec3::new(0.0, 0.0, 5.0), 120, None, |_, _| 0.0)).unwrap();
-    for (key, block) in volume.keys.iter().zip(&volume.blocks) {
-        for (node, weight) in block.weight.iter().enumerate() {
-            let z = key[2] * 8 + (node / 64) as i32;
-            assert!(*weight == 0.0 || z >= -2, "node at {z} was touched");
-        }
+fn nothing_is_known_deeper_than_asked_for() {
+    for behind in [2, 3] {
+        let options = TsdfOptions { behind_voxels: behind as f32 + 0.01, ..TsdfOptions::default() };
+        let mut volume = Volume::new(lattice(), region(), options).unwrap();
+        volume.integrate(&view_of(DVec3::new(0.0, 0.0, 5.0), 120, None, |_, _| 0.0)).unwrap();
+        let heights = volume.keys.iter().zip(&volume.blocks).flat_map(|(key, block)| {
+            let known = block.weight.iter().enumerate().filter(|(_, weight)| **weight > 0.0);
+            known.map(|(node, _)| key[2] * 8 + (node / 64) as i32)
+        });
+        assert_eq!(heights.min(), Some(-behind));
     }
 }
 
