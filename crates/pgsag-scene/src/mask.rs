@@ -20,6 +20,7 @@ pub enum PixelClass {
 impl PixelClass {
     /// Whether the pixel takes part in the losses of the group: `Boundary` or `Inside`.
     #[must_use]
+    #[inline]
     pub fn is_active(self) -> bool {
         self >= Self::Boundary
     }

@@ -32,30 +32,37 @@ pub trait Number:
     fn select(truth: Self::Truth, yes: Self, no: Self) -> Self;
 
     /// 0.
+    #[inline(always)]
     fn zero() -> Self {
         Self::from_f64(0.0)
     }
     /// 1.
+    #[inline(always)]
     fn one() -> Self {
         Self::from_f64(1.0)
     }
     /// The smaller one.
+    #[inline(always)]
     fn min(self, other: Self) -> Self {
         Self::select(other.less(self), other, self)
     }
     /// The larger one.
+    #[inline(always)]
     fn max(self, other: Self) -> Self {
         Self::select(self.less(other), other, self)
     }
     /// Distance from 0.
+    #[inline(always)]
     fn abs(self) -> Self {
         Self::select(self.less(Self::zero()), -self, self)
     }
     /// Within `[low, high]`.
+    #[inline(always)]
     fn clamp(self, low: Self, high: Self) -> Self {
         self.max(low).min(high)
     }
     /// 1, −1, or 0 at 0.
+    #[inline(always)]
     fn sign(self) -> Self {
         let negative = Self::select(self.less(Self::zero()), -Self::one(), Self::zero());
         Self::select(Self::zero().less(self), Self::one(), negative)
@@ -77,18 +84,23 @@ pub trait Scalar: Number<Truth = bool> + PartialOrd + Default + Debug + Send + S
 impl Number for f32 {
     type Truth = bool;
 
+    #[inline(always)]
     fn from_f64(value: f64) -> Self {
         value as Self
     }
+    #[inline(always)]
     fn sqrt(self) -> Self {
         self.sqrt()
     }
+    #[inline(always)]
     fn exp(self) -> Self {
         libm::expf(self)
     }
+    #[inline(always)]
     fn less(self, other: Self) -> bool {
         self < other
     }
+    #[inline(always)]
     fn select(truth: bool, yes: Self, no: Self) -> Self {
         if truth { yes } else { no }
     }
@@ -97,48 +109,61 @@ impl Number for f32 {
 impl Number for f64 {
     type Truth = bool;
 
+    #[inline(always)]
     fn from_f64(value: f64) -> Self {
         value
     }
+    #[inline(always)]
     fn sqrt(self) -> Self {
         self.sqrt()
     }
+    #[inline(always)]
     fn exp(self) -> Self {
         libm::exp(self)
     }
+    #[inline(always)]
     fn less(self, other: Self) -> bool {
         self < other
     }
+    #[inline(always)]
     fn select(truth: bool, yes: Self, no: Self) -> Self {
         if truth { yes } else { no }
     }
 }
 
 impl Scalar for f32 {
+    #[inline(always)]
     fn to_f64(self) -> f64 {
         f64::from(self)
     }
+    #[inline(always)]
     fn to_f32(self) -> f32 {
         self
     }
+    #[inline(always)]
     fn from_f32(value: f32) -> Self {
         value
     }
+    #[inline(always)]
     fn from_u8(value: u8) -> Self {
         Self::from(value)
     }
 }
 
 impl Scalar for f64 {
+    #[inline(always)]
     fn to_f64(self) -> f64 {
         self
     }
+    #[inline(always)]
     fn to_f32(self) -> f32 {
         self as f32
     }
+    #[inline(always)]
     fn from_f32(value: f32) -> Self {
         Self::from(value)
     }
+    #[inline(always)]
     fn from_u8(value: u8) -> Self {
         Self::from(value)
     }

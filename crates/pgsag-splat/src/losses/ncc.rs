@@ -9,11 +9,13 @@ use rayon::prelude::*;
 use super::geometric::{Between, bilinear, footing};
 use super::view::{LossView, PATCH_HALF};
 use crate::equations::Scalar;
-use crate::equations::algebra::{Vec3, dot, mat_vec, scale, sub};
+use crate::equations::algebra::{Vec3, add, dot, mat_vec, scale, sub};
 use crate::equations::projection::{Lens, screen, screen_grad};
 
+/// Pixels along a side of a patch.
+const SIDE: usize = 2 * PATCH_HALF + 1;
 /// Samples of a patch.
-const SAMPLES: usize = (2 * PATCH_HALF + 1) * (2 * PATCH_HALF + 1);
+const SAMPLES: usize = SIDE * SIDE;
 /// Mean squared deviation of grey below which a patch is flat and says nothing: (a hundredth of full scale)².
 const FLAT: f64 = 1e-4;
 /// Loss beyond which a patch does not show the same thing. PGSR.
@@ -103,12 +105,10 @@ struct Warp<'a, T> {
     between: Between<T>,
 }
 
-/// Where the 49 samples fell in the neighbour, and what they read.
+/// Where the 49 samples fell in the neighbour, and what they read there.
 struct Samples<T> {
     grey: [T; SAMPLES],
-    own: [T; SAMPLES],
     slope: [[T; 2]; SAMPLES],
-    ray: [Vec3<T>; SAMPLES],
     point: [Vec3<T>; SAMPLES],
 }
 
@@ -119,26 +119,46 @@ impl<'a, T: Scalar> Warp<'a, T> {
         Self { inputs, own, other, between: Between::new(inputs.view, inputs.neighbor) }
     }
 
-    /// Reads a patch in both views; `None` where it leaves the neighbour's mask or turns away.
+    /// The ray of a patch's first pixel, three rows and columns before the centre.
+    #[inline(always)]
+    fn first_ray(&self, index: usize) -> Vec3<T> {
+        let (x, y) = (index % self.inputs.view.width - PATCH_HALF, index / self.inputs.view.width - PATCH_HALF);
+        self.own.ray(T::from_f64(x as f64), T::from_f64(y as f64))
+    }
+
+    /// Reads the patch in the reference, less its mean.
+    #[inline(always)]
+    fn own(&self, index: usize) -> [T; SAMPLES] {
+        let view = self.inputs.view;
+        let first = index - PATCH_HALF * (view.width + 1);
+        let mut own = [T::zero(); SAMPLES];
+        for (row, own) in own.chunks_exact_mut(SIDE).enumerate() {
+            let grey = &view.gray[first + row * view.width..][..SIDE];
+            own.iter_mut().zip(grey).for_each(|(own, &grey)| *own = T::from_f32(grey));
+        }
+        center(&mut own);
+        own
+    }
+
+    /// Reads it in the neighbour; `None` where it leaves the mask there or turns away. The homography is linear in the
+    /// pixel, so that one column or row on is one constant step:
+    ///     y = A r − b (N · r) / D
     #[inline(always)]
     fn samples(&self, index: usize) -> Option<Samples<T>> {
-        let (view, neighbor) = (self.inputs.view, self.inputs.neighbor);
-        let inverse = T::one() / self.inputs.distance[index];
-        let zero = T::zero();
-        let mut samples = Samples {
-            grey: [zero; SAMPLES],
-            own: [zero; SAMPLES],
-            slope: [[zero; 2]; SAMPLES],
-            ray: [[zero; 3]; SAMPLES],
-            point: [[zero; 3]; SAMPLES],
+        let neighbor = self.inputs.neighbor;
+        let (normal, inverse) = (self.inputs.normal[index], T::one() / self.inputs.distance[index]);
+        let carried = |ray: Vec3<T>| {
+            let k = dot(normal, ray) * inverse;
+            sub(mat_vec(&self.between.rotation, ray), scale(self.between.translation, k))
         };
-        let side = 2 * PATCH_HALF + 1;
+        let zero = T::zero();
+        let start = carried(self.first_ray(index));
+        let column = carried([T::one() / self.own.focal[0], zero, zero]);
+        let row = carried([zero, T::one() / self.own.focal[1], zero]);
+        let mut samples = Samples { grey: [zero; SAMPLES], slope: [[zero; 2]; SAMPLES], point: [[zero; 3]; SAMPLES] };
         for i in 0..SAMPLES {
-            let at = index + (i / side) * view.width + i % side - PATCH_HALF * (view.width + 1);
-            let ray = self.own.ray(T::from_f64((at % view.width) as f64), T::from_f64((at / view.width) as f64));
-            // y = A r − b (N · r) / D: the plane's point on this ray, up to its depth.
-            let k = dot(self.inputs.normal[index], ray) * inverse;
-            let point = sub(mat_vec(&self.between.rotation, ray), scale(self.between.translation, k));
+            let (across, down) = (T::from_f64((i % SIDE) as f64), T::from_f64((i / SIDE) as f64));
+            let point = std::array::from_fn(|axis| start[axis] + across * column[axis] + down * row[axis]);
             if point[2] <= T::from_f64(1e-6) {
                 return None;
             }
@@ -146,9 +166,9 @@ impl<'a, T: Scalar> Warp<'a, T> {
             let below = tap + neighbor.width;
             let corners = [tap, tap + 1, below, below + 1].map(|at| T::from_f32(neighbor.gray[at]));
             (samples.grey[i], samples.slope[i]) = bilinear(corners, fraction);
-            samples.own[i] = T::from_f32(view.gray[at]);
-            (samples.ray[i], samples.point[i]) = (ray, point);
+            samples.point[i] = point;
         }
+        center(&mut samples.grey);
         Some(samples)
     }
 
@@ -157,49 +177,60 @@ impl<'a, T: Scalar> Warp<'a, T> {
         if self.inputs.distance[index] <= T::zero() {
             return None;
         }
-        let mut samples = self.samples(index)?;
-        center(&mut samples.own);
-        center(&mut samples.grey);
-        let [mut own, mut other, mut cross] = [T::zero(); 3];
-        for i in 0..SAMPLES {
-            own += samples.own[i] * samples.own[i];
-            other += samples.grey[i] * samples.grey[i];
-            cross += samples.own[i] * samples.grey[i];
-        }
         let flat = T::from_f64(FLAT * SAMPLES as f64);
-        if own < flat || other < flat || cross <= T::zero() {
+        let reference = self.own(index);
+        let own = product(&reference, &reference);
+        if own < flat {
             return None;
         }
-        let product = own * other + T::from_f64(EPSILON);
-        let loss = (T::one() - cross * cross / product).max(T::zero());
+        let samples = self.samples(index)?;
+        let other = product(&samples.grey, &samples.grey);
+        let cross = product(&reference, &samples.grey);
+        if other < flat || cross <= T::zero() {
+            return None;
+        }
+        let both = own * other + T::from_f64(EPSILON);
+        let loss = (T::one() - cross * cross / both).max(T::zero());
         if !loss.less(T::from_f64(KEEP_BELOW)) {
             return None;
         }
         let weight = self.inputs.weights[index];
         let two = T::from_f64(2.0);
-        let pull = [-two * cross / product * weight, two * cross * cross * own / (product * product) * weight];
-        Some(self.differentiate(index, &samples, pull, weight * loss))
+        let pull = [-two * cross / both * weight, two * cross * cross * own / (both * both) * weight];
+        let d_normal = self.differentiate(index, &reference, &samples, pull);
+        // N · ĝN is the sum that D needs: ĝD = −Σ s (N · r) / D².
+        let d_distance = -dot(self.inputs.normal[index], d_normal) / self.inputs.distance[index];
+        Some(Patch { index, loss: weight * loss, d_normal, d_distance })
     }
 
-    /// ∂e/∂x_i = −(2 Σr̃x̃/P) r̃_i + (2 (Σr̃x̃)² Σr̃²/P²) x̃_i, through the bilinear slope and y to N and D:
-    ///     s = −ĝy · b,   ĝN += s r / D,   ĝD −= s (N · r) / D²
+    /// ∂e/∂x_i = −(2 Σr̃x̃/P) r̃_i + (2 (Σr̃x̃)² Σr̃²/P²) x̃_i, through the bilinear slope and y to N:
+    ///     s = −ĝy · b,   ĝN = Σ s r / D
     #[inline(always)]
-    fn differentiate(&self, index: usize, samples: &Samples<T>, pull: [T; 2], loss: T) -> Patch<T> {
-        let inverse = T::one() / self.inputs.distance[index];
-        let mut d_normal = [T::zero(); 3];
+    fn differentiate(&self, index: usize, own: &[T; SAMPLES], samples: &Samples<T>, pull: [T; 2]) -> Vec3<T> {
+        // Moments of s over the patch: rays are linear in column and row.
+        let mut moments = [T::zero(); 3];
         for i in 0..SAMPLES {
-            let d_grey = pull[0] * samples.own[i] + pull[1] * samples.grey[i];
+            let d_grey = pull[0] * own[i] + pull[1] * samples.grey[i];
             let d_screen = samples.slope[i].map(|slope| slope * d_grey);
             let d_point = screen_grad(&self.other, samples.point[i], d_screen);
-            let along = -dot(d_point, self.between.translation) * inverse;
-            for axis in 0..3 {
-                d_normal[axis] += along * samples.ray[i][axis];
-            }
+            let along = -dot(d_point, self.between.translation);
+            moments[0] += along;
+            moments[1] += along * T::from_f64((i % SIDE) as f64);
+            moments[2] += along * T::from_f64((i / SIDE) as f64);
         }
-        // N · Σ s r / D is the same sum that D needs.
-        let d_distance = -dot(self.inputs.normal[index], d_normal) * inverse;
-        Patch { index, loss, d_normal, d_distance }
+        let first = scale(self.first_ray(index), moments[0]);
+        let steps = [moments[1] / self.own.focal[0], moments[2] / self.own.focal[1], T::zero()];
+        scale(add(first, steps), T::one() / self.inputs.distance[index])
     }
+}
+
+#[inline(always)]
+fn product<T: Scalar>(a: &[T; SAMPLES], b: &[T; SAMPLES]) -> T {
+    let mut sum = T::zero();
+    for (a, b) in a.iter().zip(b) {
+        sum += *a * *b;
+    }
+    sum
 }
 
 #[inline(always)]

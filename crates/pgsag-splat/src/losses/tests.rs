@@ -81,3 +81,21 @@ pub(crate) fn no_weights() -> LossWeights {
 pub(crate) fn triples(flat: &[f64]) -> Vec<[f64; 3]> {
     flat.chunks(3).map(|c| [c[0], c[1], c[2]]).collect()
 }
+
+/// Prints the least processor time of a few runs on one thread; a busy machine does not disturb it.
+pub(crate) fn print_processor_time(name: &str, work: impl Fn() + Sync) {
+    let spent_ms = || {
+        let statistics = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
+        statistics.split(' ').next().unwrap().parse::<f64>().unwrap() / 1e6
+    };
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let least = one.install(|| {
+        let run = |_| {
+            let start = spent_ms();
+            work();
+            spent_ms() - start
+        };
+        (0..9).map(run).fold(f64::INFINITY, f64::min)
+    });
+    println!("{name}: {least:.1} ms of processor");
+}

@@ -1,6 +1,6 @@
 use super::*;
 use crate::equations::algebra::transpose_vec;
-use crate::losses::tests::{loss_view, triples, turned};
+use crate::losses::tests::{loss_view, print_processor_time, triples, turned};
 use crate::proof;
 
 const WIDTH: u32 = 30;
@@ -89,4 +89,19 @@ fn patches_are_drawn_once_and_by_seed() {
     assert_eq!(first, draw(&ask));
     ask.seed = 12;
     assert_ne!(first, draw(&ask));
+}
+
+#[test]
+#[ignore = "a measurement: cargo test --release -p pgsag-splat -- --ignored ncc_speed --nocapture"]
+fn ncc_speed() {
+    let (width, height) = (800, 600);
+    let pair = (loss_view(width, height, 1, false), turned(width, height, 2, false));
+    let count = (width * height) as usize;
+    let (normal, distance, weights) = (vec![[0.0f32, 0.0, -1.0]; count], vec![4.0; count], vec![1.0; count]);
+    let (view, neighbor) = (&pair.0, &pair.1);
+    let (normal, distance, weights) = (&normal[..], &distance[..], &weights[..]);
+    let inputs = NccInputs { view, neighbor, normal, distance, weights, patch_limit: 10_000, seed: 1 };
+    print_processor_time("10000 patches", || {
+        ncc(&inputs, 1.0, &mut vec![[0.0; 3]; count], &mut vec![0.0; count]);
+    });
 }

@@ -1,7 +1,7 @@
 use pgsag_scene::numbers::SplitMix64;
 
 use super::*;
-use crate::losses::tests::{loss_view, triples};
+use crate::losses::tests::{loss_view, print_processor_time, triples};
 use crate::proof;
 
 const EXPOSURE: Exposure = Exposure { gain: [1.1, 0.9, 1.05], bias: [0.02, -0.03, 0.01] };
@@ -116,18 +116,12 @@ fn equal_images_cost_nothing() {
 }
 
 #[test]
-#[ignore = "a measurement: cargo test -p pgsag-splat -- --ignored photometric_speed --nocapture"]
+#[ignore = "a measurement: cargo test --release -p pgsag-splat -- --ignored photometric_speed --nocapture"]
 fn photometric_speed() {
     let view = loss_view(800, 600, 3, false);
     let color = vec![[0.4f32; 3]; 800 * 600];
     let weights = PhotometricWeights { l1: 0.8, dssim: 0.2, mean_over_mask: true };
-    let mut d_color = vec![[0.0; 3]; color.len()];
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    pool.install(|| {
-        for _ in 0..5 {
-            let start = std::time::Instant::now();
-            photometric(&view, &color, &Exposure::NEUTRAL, &weights, &mut d_color);
-            println!("{:?}", start.elapsed());
-        }
+    print_processor_time("photometric, 800 x 600", || {
+        photometric(&view, &color, &Exposure::NEUTRAL, &weights, &mut vec![[0.0; 3]; color.len()]);
     });
 }
