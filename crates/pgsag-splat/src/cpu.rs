@@ -11,7 +11,7 @@ mod bins;
 mod cloud;
 mod forward;
 mod gradient;
-mod lanes;
+pub(crate) mod lanes;
 mod layout;
 mod maps;
 mod project;

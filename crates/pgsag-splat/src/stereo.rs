@@ -17,7 +17,8 @@ use pgsag_scene::{Image, Map, Pinhole, RigidTransform};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use cost::{Matcher, Patch};
+use crate::cpu::SimdLevel;
+use cost::{Bilinear, Matcher, Patch};
 
 /// A grey view for stereo.
 #[derive(Clone, Debug)]
@@ -38,14 +39,34 @@ impl StereoView {
         let gray = Map { width: image.width, height: image.height, values: image.pixels.iter().map(luma).collect() };
         Self { camera, camera_from_world, gray }
     }
+
+    /// The view at half the size, every pixel the mean of those that it covers.
+    fn halved(&self) -> Self {
+        let (width, height) = ((self.gray.width / 2).max(1), (self.gray.height / 2).max(1));
+        let at = |x: u32, y: u32| self.gray.at(x.min(self.gray.width - 1), y.min(self.gray.height - 1));
+        let mean = |x: u32, y: u32| (at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1)) * 0.25;
+        let values =
+            (0..height).flat_map(|y| (0..width).map(move |x| (2 * x, 2 * y))).map(|(x, y)| mean(x, y)).collect();
+        // Twice a pixel is twice a pixel, also where a last odd row or column is left over.
+        let camera = &self.camera;
+        let (fx, fy, cx, cy) = (camera.fx * 0.5, camera.fy * 0.5, camera.cx * 0.5, camera.cy * 0.5);
+        let camera = Pinhole { width, height, fx, fy, cx, cy };
+        Self { camera, camera_from_world: self.camera_from_world, gray: Map { width, height, values } }
+    }
 }
 
 /// How stereo works.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StereoOptions {
-    /// Rounds over both colours of the checkerboard.
+    /// Sizes of the images, each half of the one before; the search begins on the smallest.
+    pub sizes: u32,
+    /// Images are not halved to less than this, longest side.
+    pub smallest_px: u32,
+    /// Rounds over both colours of the checkerboard on the smallest images.
     pub iterations: u32,
+    /// Rounds on each of the larger ones.
+    pub refinements: u32,
     /// Half-width of the patch, in samples.
     pub patch_radius: u32,
     /// Distance between samples, pixels.
@@ -60,7 +81,17 @@ pub struct StereoOptions {
 
 impl Default for StereoOptions {
     fn default() -> Self {
-        Self { iterations: 4, patch_radius: 2, patch_step_px: 2, best_count: 2, color_sigma: 0.12, max_cost: 0.35 }
+        Self {
+            sizes: 2,
+            smallest_px: 150,
+            iterations: 4,
+            refinements: 2,
+            patch_radius: 2,
+            patch_step_px: 2,
+            best_count: 2,
+            color_sigma: 0.12,
+            max_cost: 0.35,
+        }
     }
 }
 
@@ -85,43 +116,65 @@ struct Hypothesis {
     favorites: [u8; 2],
 }
 
+/// On larger images the steps at random are as small as after so many rounds: little is searched, much refined.
+const SETTLED: u32 = 2;
 /// Where the favourites alone are so much worse than the kept plane, the other neighbours are not asked.
 const HOPELESS: f32 = 0.15;
 
-/// Estimates the depth of `reference` from its neighbours. `seeds` are `(x, y, depth)` of sparse points in the image;
-/// they start the search and bound it to `depth_range`. Pixels where `active` is false are left out.
+/// What is known before the search.
+#[derive(Clone, Copy, Debug)]
+pub struct Prior<'a> {
+    /// `(x, y, depth)` of sparse points in the reference image.
+    pub seeds: &'a [[f32; 3]],
+    /// Nearest and farthest depth that is looked for.
+    pub depth_range: [f32; 2],
+}
+
+/// Estimates the depth of `reference` from its neighbours: on the smallest images first, then refined image by image.
 #[must_use]
 pub fn estimate(
     reference: &StereoView,
     neighbors: &[&StereoView],
-    seeds: &[[f32; 3]],
-    depth_range: [f32; 2],
-    active: Option<&Map<bool>>,
+    prior: &Prior<'_>,
     options: &StereoOptions,
     seed: u64,
 ) -> StereoDepth {
-    let search = Search {
-        reference,
-        matchers: neighbors.iter().map(|neighbor| Matcher::new(reference, neighbor)).collect(),
-        depth_range,
-        active,
-        options,
-        seed,
-    };
-    let mut state = search.start(seeds);
-    for iteration in 0..options.iterations {
-        for color in 0..2 {
-            state = search.half_step(&state, iteration, color);
+    let mut sizes = vec![(reference.clone(), neighbors.iter().map(|view| (*view).clone()).collect::<Vec<_>>())];
+    while sizes.len() < options.sizes as usize {
+        let (smallest, neighbors) = &sizes[sizes.len() - 1];
+        if smallest.camera.width.max(smallest.camera.height) < 2 * options.smallest_px {
+            break;
         }
+        let half = (smallest.halved(), neighbors.iter().map(StereoView::halved).collect());
+        sizes.push(half);
     }
-    search.finish(&state)
+    let full_width = reference.camera.width as f32;
+    let mut found: Option<StereoDepth> = None;
+    for (round, (reference, neighbors)) in (0u64..).zip(sizes.into_iter().rev()) {
+        let images: Vec<Bilinear> = neighbors.iter().map(|neighbor| Bilinear::new(&neighbor.gray)).collect();
+        let matchers = matchers(&reference, &neighbors, &images);
+        let seed = seed ^ (round << 56);
+        let search = Search { reference: &reference, matchers, prior, full_width, options, seed };
+        found = Some(match found {
+            None => search.rounds(search.start(), 0..options.iterations),
+            Some(coarse) => search.rounds(search.finer(&coarse), SETTLED..SETTLED + options.refinements),
+        });
+    }
+    found.expect("there is at least one size")
+}
+
+fn matchers<'a>(reference: &StereoView, neighbors: &[StereoView], images: &'a [Bilinear]) -> Vec<Matcher<'a>> {
+    let level = SimdLevel::Auto.detected().expect("every machine has the scalar level");
+    let matcher = |(neighbor, image): (&StereoView, &'a Bilinear)| Matcher::new(level, reference, neighbor, image);
+    neighbors.iter().zip(images).map(matcher).collect()
 }
 
 struct Search<'a> {
     reference: &'a StereoView,
     matchers: Vec<Matcher<'a>>,
-    depth_range: [f32; 2],
-    active: Option<&'a Map<bool>>,
+    prior: &'a Prior<'a>,
+    /// Width of the image that the prior speaks of.
+    full_width: f32,
     options: &'a StereoOptions,
     seed: u64,
 }
@@ -133,12 +186,40 @@ const MAX_NEIGHBORS: usize = 16;
 const DIRECTIONS: [[i32; 2]; 4] = [[1, 0], [-1, 0], [0, 1], [0, -1]];
 
 impl Search<'_> {
-    fn width(&self) -> usize {
-        self.reference.gray.width as usize
+    fn rounds(&self, mut state: Vec<Hypothesis>, iterations: std::ops::Range<u32>) -> StereoDepth {
+        for iteration in iterations {
+            for color in 0..2 {
+                state = self.half_step(&state, iteration, color);
+            }
+        }
+        self.finish(&state)
     }
 
-    fn is_active(&self, index: usize) -> bool {
-        self.active.is_none_or(|active| active.values[index])
+    /// Every pixel starts from the plane of the coarse pixel that it lies in.
+    fn finer(&self, coarse: &StereoDepth) -> Vec<Hypothesis> {
+        let (width, height) = (self.width(), self.reference.gray.height as usize);
+        let (wide, high) = (coarse.depth.width as usize, coarse.depth.height as usize);
+        let start = |index: usize| {
+            let (x, y) = ((index % width / 2).min(wide - 1), (index / width / 2).min(high - 1));
+            let (at, ray) = (y * wide + x, self.ray(index));
+            let coarse_ray = self.reference.camera.ray((2 * x + 1) as f64, (2 * y + 1) as f64).as_vec3().to_array();
+            let plane = Hypothesis {
+                depth: coarse.depth.values[at],
+                normal: facing(coarse.normal.values[at], coarse_ray),
+                cost: f32::INFINITY,
+                favorites: [0, 1],
+            };
+            let carried = (plane.depth > 0.0).then(|| carried_depth(&plane, coarse_ray, ray)).flatten();
+            let depth = carried.unwrap_or_else(|| self.random_depth(&mut self.stream(index, u64::MAX >> 40)));
+            let [near, far] = self.prior.depth_range;
+            let start = Hypothesis { depth: depth.clamp(near, far), normal: facing(plane.normal, ray), ..plane };
+            self.judged(&self.patch(index), index, start, f32::INFINITY).unwrap_or(start)
+        };
+        (0..width * height).into_par_iter().map(start).collect()
+    }
+
+    fn width(&self) -> usize {
+        self.reference.gray.width as usize
     }
 
     /// Ray through a pixel's centre, z = 1.
@@ -152,8 +233,12 @@ impl Search<'_> {
     }
 
     /// Every pixel starts from the depth of the nearest seed, a little off, on a plane that faces the camera roughly.
-    fn start(&self, seeds: &[[f32; 3]]) -> Vec<Hypothesis> {
-        let nearest = nearest_seed(self.reference.gray.width, self.reference.gray.height, seeds);
+    fn start(&self) -> Vec<Hypothesis> {
+        let (width, height) = (self.reference.gray.width, self.reference.gray.height);
+        let shrink = width as f32 / self.full_width;
+        let seeds: Vec<[f32; 3]> = self.prior.seeds.iter().map(|[x, y, z]| [x * shrink, y * shrink, *z]).collect();
+        let nearest = nearest_seed(width, height, &seeds);
+        let [near, far] = self.prior.depth_range;
         (0..self.reference.gray.values.len())
             .into_par_iter()
             .map(|index| {
@@ -163,14 +248,11 @@ impl Search<'_> {
                     None => self.random_depth(&mut stream),
                 };
                 let start = Hypothesis {
-                    depth: depth.clamp(self.depth_range[0], self.depth_range[1]),
+                    depth: depth.clamp(near, far),
                     normal: facing(tilted([0.0, 0.0, -1.0], 0.7, &mut stream), self.ray(index)),
                     cost: f32::INFINITY,
                     favorites: [0, 1],
                 };
-                if !self.is_active(index) {
-                    return start;
-                }
                 self.judged(&self.patch(index), index, start, f32::INFINITY).unwrap_or(start)
             })
             .collect()
@@ -178,7 +260,7 @@ impl Search<'_> {
 
     /// Uniform in inverse depth.
     fn random_depth(&self, stream: &mut SplitMix64) -> f32 {
-        let [near, far] = self.depth_range;
+        let [near, far] = self.prior.depth_range;
         1.0 / stream.range(1.0 / f64::from(far), 1.0 / f64::from(near)) as f32
     }
 
@@ -218,7 +300,7 @@ impl Search<'_> {
         next.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
             for (x, kept) in row.iter_mut().enumerate() {
                 let index = y * width + x;
-                if (x + y) % 2 == color && self.is_active(index) {
+                if (x + y) % 2 == color {
                     *kept = self.improved(state, index, iteration);
                 }
             }
@@ -231,8 +313,9 @@ impl Search<'_> {
         let patch = self.patch(index);
         let ray = self.ray(index);
         let mut best = state[index];
+        let [near, far] = self.prior.depth_range;
         let mut consider = |candidate: Hypothesis| {
-            if candidate.depth >= self.depth_range[0] && candidate.depth <= self.depth_range[1] {
+            if candidate.depth >= near && candidate.depth <= far {
                 // The pixel's own favourites: what a donor sees well may be hidden here.
                 let candidate = Hypothesis { favorites: best.favorites, ..candidate };
                 if let Some(better) = self.judged(&patch, index, candidate, best.cost) {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use pgsag_scene::synthetic::{Photograph, Town, TownOptions};
 use pgsag_splat::backend::{TrainingView, ViewCamera};
 use pgsag_splat::stereo::{
-    CheckOptions, StereoDepth, StereoOptions, StereoView, SurfacePoint, confirmed, estimate, lift, thin_points,
+    CheckOptions, Prior, StereoDepth, StereoOptions, StereoView, SurfacePoint, confirmed, estimate, lift, thin_points,
 };
 use pgsag_splat::train::ViewSource;
 use pgsag_splat::train::{InitialPoint, NeighborOptions, TrainOptions, neighbors_of};
@@ -123,7 +123,8 @@ impl TownViews {
                 let range = [0.9 * z(f32::min, f32::INFINITY), 1.1 * z(f32::max, 0.0)];
                 let beside: Vec<&StereoView> =
                     neighbors[position].iter().take(4).map(|n| &views[n.view as usize]).collect();
-                estimate(&views[position], &beside, &seeds, range, None, &StereoOptions::default(), 1)
+                let prior = Prior { seeds: &seeds, depth_range: range };
+                estimate(&views[position], &beside, &prior, &StereoOptions::default(), 1)
             })
             .collect();
         let mut points: Vec<SurfacePoint> = Vec::new();

@@ -1,16 +1,22 @@
 //! The cost of a plane: bilaterally weighted NCC between a patch and its image under the plane's homography.
 
+use fearless_simd::{Level, Simd, f32x4, prelude::*, u32x4};
 use pgsag_scene::Map;
 
 use super::{StereoOptions, StereoView, dot};
+use crate::cpu::lanes::at_level;
 
-/// At most 11 x 11 samples.
-const MAX_SAMPLES: usize = 121;
+/// Samples that are worked together.
+const LANES: usize = 4;
+/// At most 11 x 11 samples, in whole vectors.
+const MAX_SAMPLES: usize = 124;
 
 /// The reference patch of one pixel: offsets, weights and weighted, centred values; made once per pixel and half-step.
 pub(super) struct Patch {
+    /// In whole vectors: what fills the last one weighs nothing.
     count: usize,
-    offset: [[f32; 2]; MAX_SAMPLES],
+    across: [f32; MAX_SAMPLES],
+    down: [f32; MAX_SAMPLES],
     weight: [f32; MAX_SAMPLES],
     /// weight · (value − mean)
     centered: [f32; MAX_SAMPLES],
@@ -31,7 +37,8 @@ impl Patch {
         let center = gray.values[index];
         let mut patch = Self {
             count: 0,
-            offset: [[0.0; 2]; MAX_SAMPLES],
+            across: [0.0; MAX_SAMPLES],
+            down: [0.0; MAX_SAMPLES],
             weight: [0.0; MAX_SAMPLES],
             centered: [0.0; MAX_SAMPLES],
             variance: 0.0,
@@ -47,7 +54,7 @@ impl Patch {
             // A rational bell instead of an exponential: as good a weight, and the same on every machine.
             let ratio = (value - center) / options.color_sigma;
             let weight = 1.0 / (1.0 + ratio * ratio);
-            patch.offset[patch.count] = [dx as f32, dy as f32];
+            (patch.across[patch.count], patch.down[patch.count]) = (dx as f32, dy as f32);
             patch.weight[patch.count] = weight;
             patch.centered[patch.count] = value;
             patch.count += 1;
@@ -62,13 +69,35 @@ impl Patch {
             patch.centered[k] = weight * value;
             patch.variance += weight * value * value;
         }
+        patch.count = patch.count.next_multiple_of(LANES);
         patch
+    }
+}
+
+/// A grey image in which bilinear interpolation is one load: per pixel p, and its slopes across, down and both.
+#[derive(Debug)]
+pub(super) struct Bilinear {
+    size: [f32; 2],
+    cells: Vec<[f32; LANES]>,
+}
+
+impl Bilinear {
+    pub(super) fn new(gray: &Map<f32>) -> Self {
+        let (width, height) = (gray.width as usize, gray.height as usize);
+        let at = |x: usize, y: usize| gray.values[y.min(height - 1) * width + x.min(width - 1)];
+        let cell = |i: usize| {
+            let (x, y) = (i % width, i / width);
+            let (p, right, below) = (at(x, y), at(x + 1, y), at(x, y + 1));
+            [p, right - p, below - p, at(x + 1, y + 1) - right - below + p]
+        };
+        Self { size: [width as f32, height as f32], cells: (0..width * height).map(cell).collect() }
     }
 }
 
 /// What carries a reference pixel into one neighbour.
 pub(super) struct Matcher<'a> {
-    gray: &'a Map<f32>,
+    level: Level,
+    image: &'a Bilinear,
     /// K_n · R · K_r⁻¹ and K_n · t, row-major, in f32.
     rotation: [[f32; 3]; 3],
     translation: [f32; 3],
@@ -77,7 +106,7 @@ pub(super) struct Matcher<'a> {
 }
 
 impl<'a> Matcher<'a> {
-    pub(super) fn new(reference: &StereoView, neighbor: &'a StereoView) -> Self {
+    pub(super) fn new(level: Level, reference: &StereoView, neighbor: &StereoView, image: &'a Bilinear) -> Self {
         let neighbor_from_reference = neighbor.camera_from_world * reference.camera_from_world.inverse();
         let k = glam::DMat3::from_cols(
             glam::DVec3::new(neighbor.camera.fx, 0.0, 0.0),
@@ -87,7 +116,8 @@ impl<'a> Matcher<'a> {
         let camera = &reference.camera;
         let rotation = (k * neighbor_from_reference.rotation_matrix()).transpose();
         Self {
-            gray: &neighbor.gray,
+            level,
+            image,
             rotation: [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|row| row.as_vec3().to_array()),
             translation: (k * neighbor_from_reference.translation).as_vec3().to_array(),
             inverse: [
@@ -115,7 +145,7 @@ impl<'a> Matcher<'a> {
         let Some((at, jacobian)) = self.linear_map(center, normal, distance) else { return WORST };
         let span =
             patch.reach * (jacobian[0][0].abs() + jacobian[0][1].abs() + jacobian[1][0].abs() + jacobian[1][1].abs());
-        let (width, height) = (self.gray.width as f32, self.gray.height as f32);
+        let [width, height] = self.image.size;
         let inside = at[0] > span && at[1] > span && at[0] < width - span && at[1] < height - span;
         if !inside && !self.box_fits(patch.reach, at, jacobian) {
             return WORST;
@@ -145,33 +175,47 @@ impl<'a> Matcher<'a> {
 
     fn box_fits(&self, reach: f32, at: [f32; 2], jacobian: [[f32; 2]; 2]) -> bool {
         let half: [f32; 2] = std::array::from_fn(|i| reach * (jacobian[i][0].abs() + jacobian[i][1].abs()));
-        let limit = [self.gray.width as f32 - 1.0, self.gray.height as f32 - 1.0];
+        let limit = self.image.size.map(|side| side - 1.0);
         (0..2).all(|i| at[i] - half[i] >= 0.0 && at[i] + half[i] < limit[i])
     }
 
     fn correlate(&self, patch: &Patch, at: [f32; 2], jacobian: [[f32; 2]; 2]) -> f32 {
-        let width = self.gray.width as usize;
-        let values = &self.gray.values;
-        let last = values.len().saturating_sub(width + 2);
-        let (mut mean, mut square, mut cross) = (0.0f32, 0.0f32, 0.0f32);
-        for k in 0..patch.count {
-            let [dx, dy] = patch.offset[k];
-            let u = (at[0] + jacobian[0][0] * dx + jacobian[0][1] * dy).max(0.0);
-            let v = (at[1] + jacobian[1][0] * dx + jacobian[1][1] * dy).max(0.0);
-            let (iu, iv) = (u as usize, v as usize);
-            let (fu, fv) = (u - iu as f32, v - iv as f32);
-            let base = (iv * width + iu).min(last);
-            let top = values[base] + fu * (values[base + 1] - values[base]);
-            let below = values[base + width] + fu * (values[base + width + 1] - values[base + width]);
-            let value = top + fv * (below - top);
-            mean += patch.weight[k] * value;
-            square += patch.weight[k] * value * value;
-            cross += patch.centered[k] * value;
-        }
+        let [mean, square, cross] = at_level!(self.level, simd => self.moments(simd, patch, at, jacobian));
         let variance = square - mean * mean;
         if variance < MIN_VARIANCE {
             return 2.0;
         }
         1.0 - cross / (variance * patch.variance).sqrt()
+    }
+
+    /// Weighted mean and mean square of the patch's image, and its product with the reference patch.
+    #[inline(always)]
+    fn moments<S: Simd>(&self, simd: S, patch: &Patch, at: [f32; 2], jacobian: [[f32; 2]; 2]) -> [f32; 3] {
+        let vector = |value: f32| f32x4::splat(simd, value);
+        let (zero, width) = (vector(0.0), u32x4::splat(simd, self.image.size[0] as u32));
+        let [[xx, xy], [yx, yy]] = jacobian.map(|row| row.map(vector));
+        let (x, y) = (vector(at[0]), vector(at[1]));
+        let last = self.image.cells.len() - 1;
+        let [mut mean, mut square, mut cross] = [zero; 3];
+        for start in (0..patch.count).step_by(LANES) {
+            let load = |of: &[f32; MAX_SAMPLES]| f32x4::from_slice(simd, &of[start..start + LANES]);
+            let (across, down) = (load(&patch.across), load(&patch.down));
+            let u = xx.mul_add(across, xy.mul_add(down, x)).max(zero);
+            let v = yx.mul_add(across, yy.mul_add(down, y)).max(zero);
+            let (left, top) = (u.trunc(), v.trunc());
+            let (fu, fv) = (u - left, v - top);
+            let mut index = [0; LANES];
+            (width * top.to_int::<u32x4<S>>() + left.to_int::<u32x4<S>>()).store_slice(&mut index);
+            let cell = |lane: usize| f32x4::from_slice(simd, &self.image.cells[(index[lane] as usize).min(last)]);
+            let (a, b) = cell(0).interleave(cell(2));
+            let (c, d) = cell(1).interleave(cell(3));
+            let ((p, right), (below, both)) = (a.interleave(c), b.interleave(d));
+            let value = fv.mul_add(fu.mul_add(both, below), fu.mul_add(right, p));
+            let weighted = load(&patch.weight) * value;
+            mean += weighted;
+            square = weighted.mul_add(value, square);
+            cross = load(&patch.centered).mul_add(value, cross);
+        }
+        [simd.reduce_sum_f32x4(mean), simd.reduce_sum_f32x4(square), simd.reduce_sum_f32x4(cross)]
     }
 }

@@ -38,24 +38,17 @@ fn true_depth(view: &StereoView, x: u32, y: u32) -> f64 {
     -DISTANCE / DVec3::from_array(NORMAL).normalize().dot(ray)
 }
 
-fn estimated() -> (StereoView, StereoDepth) {
+fn estimated(options: &StereoOptions) -> (StereoView, StereoDepth) {
     let reference = photograph(DVec3::ZERO, 1.0);
     let neighbors = [photograph(DVec3::new(1.2, 0.1, 0.0), 0.8), photograph(DVec3::new(-1.1, 0.6, 0.2), 1.1)];
-    let depth = estimate(
-        &reference,
-        &neighbors.each_ref(),
-        &[[20.0, 20.0, 9.0]],
-        [4.0, 20.0],
-        None,
-        &StereoOptions::default(),
-        1,
-    );
+    let prior = Prior { seeds: &[[20.0, 20.0, 9.0]], depth_range: [4.0, 20.0] };
+    let depth = estimate(&reference, &neighbors.each_ref(), &prior, options, 1);
     (reference, depth)
 }
 
-#[test]
-fn plane_is_found_to_a_fraction_of_a_pixel() {
-    let (reference, found) = estimated();
+/// Relative errors of depth away from the border, half and four fifths of them below; 1 where nothing was found.
+fn errors(options: &StereoOptions) -> (f64, f64) {
+    let (reference, found) = estimated(options);
     let mut errors: Vec<f64> = Vec::new();
     for y in 8..SIZE.1 - 8 {
         for x in 12..SIZE.0 - 12 {
@@ -63,16 +56,27 @@ fn plane_is_found_to_a_fraction_of_a_pixel() {
             errors.push(if depth > 0.0 { (depth / true_depth(&reference, x, y) - 1.0).abs() } else { 1.0 });
         }
     }
+    [0.5, 0.8].map(|q| pgsag_scene::numbers::quantile(&mut errors, q).expect("some")).into()
+}
+
+#[test]
+fn plane_is_found_to_a_fraction_of_a_pixel() {
+    let (half, most) = errors(&StereoOptions::default());
     // One pixel of disparity at baseline 1.2 and depth 9 is 6.8 % of the depth.
-    let (half, most) = [0.5, 0.8].map(|q| pgsag_scene::numbers::quantile(&mut errors, q).expect("some")).into();
+    assert!(half < 0.004 && most < 0.02, "{half} {most}");
+}
+
+#[test]
+fn half_size_first_finds_the_same_plane() {
+    let (half, most) = errors(&StereoOptions { smallest_px: 40, ..StereoOptions::default() });
     assert!(half < 0.004 && most < 0.02, "{half} {most}");
 }
 
 #[test]
 fn number_of_threads_does_not_matter() {
     let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("threads");
-    let one = pool(1).install(estimated).1;
-    let two = pool(2).install(estimated).1;
+    let one = pool(1).install(|| estimated(&StereoOptions::default())).1;
+    let two = pool(2).install(|| estimated(&StereoOptions::default())).1;
     assert!(one == two);
 }
 

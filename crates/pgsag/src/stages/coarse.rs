@@ -1,5 +1,4 @@
-//! `coarse`: points on everything, before anything is known of buildings: oriented, dense, from stereo on reduced
-//! images, or the sparse points where stereo is switched off or finds little.
+//! `coarse`: points on everything, before anything is known of buildings: oriented, dense, from stereo, or the sparse points where stereo is switched off or finds little.
 
 use std::path::Path;
 
@@ -96,9 +95,9 @@ impl Default for CoarseOptions {
     fn default() -> Self {
         Self {
             stereo: true,
-            scale: 0.5,
+            scale: 1.0,
             smallest_px: 200,
-            largest_px: 1200,
+            largest_px: 1600,
             neighbor_count: 4,
             cell_gsd: 3.0,
             matching: StereoOptions::default(),
@@ -108,7 +107,7 @@ impl Default for CoarseOptions {
 }
 
 /// Processor seconds of stereo per pixel, with four neighbours.
-const STEREO_SECS_PER_PIXEL: f64 = 45e-6;
+const STEREO_SECS_PER_PIXEL: f64 = 15e-6;
 
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let config = config(run)?;

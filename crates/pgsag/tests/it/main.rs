@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -98,15 +99,17 @@ fn differing(a: &BTreeMap<String, Vec<u8>>, b: &BTreeMap<String, Vec<u8>>) -> Ve
     names.into_iter().filter(|name| a.get(*name) != b.get(*name)).cloned().collect()
 }
 
-/// The undisturbed run on one thread.
-fn reference() -> &'static (TempDir, BTreeMap<String, Vec<u8>>) {
-    static REFERENCE: OnceLock<(TempDir, BTreeMap<String, Vec<u8>>)> = OnceLock::new();
+/// The undisturbed run on one thread: where it is, its result, and the time that it took.
+fn reference() -> &'static (TempDir, BTreeMap<String, Vec<u8>>, Duration) {
+    static REFERENCE: OnceLock<(TempDir, BTreeMap<String, Vec<u8>>, Duration)> = OnceLock::new();
     REFERENCE.get_or_init(|| {
         let folder = tempfile::tempdir().expect("temporary folder");
         let mut command = reconstruct(town(), &folder.path().join("run"));
         command.args(["--threads", "1"]);
+        let start = Instant::now();
         finish(command);
+        let took = start.elapsed();
         let result = result_of(&folder.path().join("run"));
-        (folder, result)
+        (folder, result, took)
     })
 }

@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn a_town_becomes_buildings_with_a_score() {
-    let (folder, result) = reference();
+    let (folder, result, _) = reference();
     for name in [
         "city.ply",
         "buildings.ply",
@@ -30,7 +30,7 @@ fn a_town_becomes_buildings_with_a_score() {
 
 #[test]
 fn a_finished_run_does_nothing_and_a_changed_setting_only_what_it_must() {
-    let (folder, _) = reference();
+    let (folder, ..) = reference();
     let copy = tempfile::tempdir().expect("temporary folder");
     let run = copy.path().join("run");
     let copied = Command::new("cp").arg("-r").arg(folder.path().join("run")).arg(&run).status().expect("cp");

@@ -12,7 +12,7 @@ use glam::DVec3;
 use pgsag_scene::files::map::{decode_map, encode_map};
 use pgsag_scene::numbers::{median, quantile};
 use pgsag_scene::{Map, Pinhole, Scene, SparsePoint, TrackElement};
-use pgsag_splat::stereo::{StereoDepth, StereoView, SurfacePoint, confirmed, estimate, lift, thin_points};
+use pgsag_splat::stereo::{Prior, StereoDepth, StereoView, SurfacePoint, confirmed, estimate, lift, thin_points};
 use pgsag_splat::train::{Neighbor, neighbors_of};
 
 use super::Coarse;
@@ -184,7 +184,8 @@ impl Survey<'_, '_> {
         };
         let seeds: Vec<[f32; 3]> =
             seeds.iter().map(|[x, y, z]| [(x * shrink) as f32, (y * shrink) as f32, *z as f32]).collect();
-        Ok(estimate(&reference, &others, &seeds, range, None, &self.config.coarse.matching, at as u64))
+        let prior = Prior { seeds: &seeds, depth_range: range };
+        Ok(estimate(&reference, &others, &prior, &self.config.coarse.matching, at as u64))
     }
 
     fn scene_range(&self) -> Option<[f32; 2]> {
@@ -256,7 +257,7 @@ impl Survey<'_, '_> {
         let count = self.config.coarse.neighbor_count as usize;
         let mut involved = vec![at];
         involved.extend(self.neighbors[at].iter().take(count).map(|neighbor| neighbor.view as usize));
-        let mut words = vec![format!("stereo 1 {:?} {seeds:?} {at}", self.config.coarse.matching)];
+        let mut words = vec![format!("stereo 2 {:?} {seeds:?} {at}", self.config.coarse.matching)];
         for position in involved {
             let index = self.view_indices[position] as usize;
             let view = &self.imported.scene.views[index];
@@ -329,11 +330,13 @@ mod tests {
     }
 
     #[test]
-    fn stereo_images_are_half_the_training_images_within_bounds() {
+    fn stereo_images_are_the_training_images_within_bounds() {
         let mut config = Config::default();
         let camera = Pinhole { width: 4000, height: 3000, fx: 3500.0, fy: 3500.0, cx: 2000.0, cy: 1500.0 };
-        assert_eq!(stereo_camera(&camera, &config).width, 1200);
+        assert_eq!(stereo_camera(&camera, &config).width, 1600);
         config.image_width = 800;
+        assert_eq!(stereo_camera(&camera, &config).width, 800);
+        config.coarse.scale = 0.5;
         assert_eq!(stereo_camera(&camera, &config).width, 400);
         config.image_width = 96;
         assert_eq!(stereo_camera(&camera, &config).width, 96);
