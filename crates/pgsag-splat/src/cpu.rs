@@ -11,13 +11,11 @@ mod bins;
 mod cloud;
 mod forward;
 mod gradient;
-pub(crate) mod lanes;
 mod layout;
 mod maps;
 mod project;
 mod render;
 mod sort;
-mod wide;
 
 use std::{
     fmt,
@@ -28,8 +26,8 @@ use fearless_simd::Level;
 use pgsag_scene::{Map, PixelClass};
 use rayon::prelude::*;
 
+pub use crate::lanes::SimdLevel;
 pub use cloud::CpuCloud;
-pub use lanes::SimdLevel;
 pub use render::CpuRender;
 
 use crate::backend::{
@@ -38,15 +36,18 @@ use crate::backend::{
 };
 use crate::cloud::SplatCloud;
 use crate::equations::{plane as planes, projection::Lens};
-use crate::losses::{Inputs, LossView, evaluate};
+use crate::lanes::{self, LANES, at_level, wide};
+use crate::losses::{Evaluation, Inputs, LossView, evaluate_into};
 use cloud::plane;
 use forward::Cuts;
 use gradient::{Return, Sums, gradients};
-use lanes::LANES;
 use layout::Layout;
 use maps::{Rows, take_gradients};
 use project::{Projection, project};
 use render::{Buffers, Pool};
+
+/// Gaussians whose scales are added at a time.
+const FLATNESS_CHUNK: usize = 1024;
 
 /// How [`Cpu`] works.
 #[derive(Clone, Copy, Debug, Default)]
@@ -75,6 +76,7 @@ pub struct Cpu {
 #[derive(Default)]
 struct Scratch {
     rows: [Rows; 2],
+    losses: Evaluation<f32>,
     sums: Vec<lanes::Line>,
     plain: Vec<[f32; 2]>,
 }
@@ -165,14 +167,16 @@ impl Cpu {
             return (0.0, 0.0);
         }
         let sums: Vec<f64> = visible
-            .par_chunks(1024)
+            .par_chunks(FLATNESS_CHUNK)
             .map(|chunk| {
                 let smallest = |&gaussian: &u32| {
                     let (group, lane) = (gaussian as usize / LANES, gaussian as usize % LANES);
                     let log = |axis: usize| cloud.values[group * cloud.planes + plane::LOG_SCALE + axis].0[lane];
-                    libm::exp(f64::from(log(0).min(log(1)).min(log(2))))
+                    log(0).min(log(1)).min(log(2))
                 };
-                chunk.iter().map(smallest).sum::<f64>()
+                let mut logs = [0.0; FLATNESS_CHUNK];
+                logs.iter_mut().zip(chunk).for_each(|(log, gaussian)| *log = smallest(gaussian));
+                at_level!(self.level, simd => wide::exp_sum(simd, &logs[..chunk.len()]))
             })
             .collect();
         let share = 1.0 / (visible.len() as f64 * f64::from(scene_scale));
@@ -278,12 +282,12 @@ impl Backend for Cpu {
         let lens = Lens::<f32>::new(&render.camera);
         let depth = rows.distance.par_iter().enumerate().map(|(pixel, &distance)| {
             let ray = lens.ray((pixel % width as usize) as f32, (pixel / width as usize) as f32);
-            planes::depth(distance, rows.normal[pixel], ray)
+            planes::depth(distance, rows.normal.each_ref().map(|map| map[pixel]), ray)
         });
         Ok(PlaneMaps {
             depth: map(width, height, depth.collect()),
-            color: map(width, height, rows.color),
-            normal: map(width, height, rows.normal),
+            color: map(width, height, triples(&rows.color)),
+            normal: map(width, height, triples(&rows.normal)),
             distance: map(width, height, rows.distance),
             opacity: map(width, height, rows.opacity),
             load: map(width, height, rows.load),
@@ -296,13 +300,14 @@ impl Backend for Cpu {
             (flatness, share) = self.flatness(cloud, sample.render, sample.scene_scale);
         }
         let mut scratch = self.take_scratch();
-        let [rows, neighbor_rows] = &mut scratch.rows;
+        let Scratch { rows: [rows, neighbor_rows], losses: result, .. } = &mut scratch;
         rows.fill(sample.render);
         let neighbor = sample.neighbor.as_ref().map(|(view, render)| {
             neighbor_rows.fill(render);
             (&view.losses, neighbor_rows.maps())
         });
-        let result = evaluate(&Inputs {
+        self.phase("rows");
+        let inputs = Inputs {
             view: &sample.view.losses,
             maps: rows.maps(),
             neighbor,
@@ -310,19 +315,18 @@ impl Backend for Cpu {
             weights: sample.weights,
             flatness,
             seed: sample.seed,
-        });
-        self.give_scratch(scratch);
+        };
+        evaluate_into(&inputs, result);
         self.phase("losses");
-        if !result.values.total.is_finite() {
-            return Err(BackendError::NotFinite("the loss"));
-        }
         sample.render.d_smallest_scale = (f64::from(sample.weights.flatness) * share) as f32;
-        take_gradients(sample.render, &result.reference);
+        take_gradients(self.level, sample.render, &result.reference);
         if let Some((_, render)) = &mut sample.neighbor {
-            take_gradients(render, &result.neighbor);
+            take_gradients(self.level, render, &result.neighbor);
         }
+        let values = result.values;
+        self.give_scratch(scratch);
         self.phase("upstream");
-        Ok(result.values)
+        if values.total.is_finite() { Ok(values) } else { Err(BackendError::NotFinite("the loss")) }
     }
 
     fn backward(&self, cloud: &mut CpuCloud, sample: &Sample<'_, Self>) -> Result<()> {
@@ -362,6 +366,11 @@ impl Backend for Cpu {
         cloud.reshape(plan);
         Ok(())
     }
+}
+
+/// Planes as values of three.
+fn triples(planes: &[Vec<f32>; 3]) -> Vec<[f32; 3]> {
+    (0..planes[0].len()).map(|index| planes.each_ref().map(|plane| plane[index])).collect()
 }
 
 /// A map of the camera's size, or 0 x 0 where there are no values.

@@ -10,14 +10,12 @@ mod raster;
 mod tests;
 
 use pgsag_scene::Map;
-use rayon::prelude::*;
 
 use crate::backend::{
     Backend, BackendError, DensityPlan, DensityStatistics, Limits, LossValues, OptimizerState, PlaneMaps, Rates,
     RenderOptions, Result, Sample, TrainingView, ViewCamera,
 };
 use crate::cloud::SplatCloud;
-use crate::equations::algebra::Vec3;
 use crate::equations::projection::Lens;
 use crate::equations::{activation, adam, plane};
 use crate::losses::{Evaluation, Inputs, LossView, MapGradients, RenderedMaps, evaluate, flatness};
@@ -45,8 +43,8 @@ pub struct Render {
     drawn: Vec<bool>,
     /// `[N]` Gaussians that cover a drawn pixel.
     visible: Vec<bool>,
-    color: Vec<Vec3<f64>>,
-    normal: Vec<Vec3<f64>>,
+    color: [Vec<f64>; 3],
+    normal: [Vec<f64>; 3],
     distance: Vec<f64>,
     opacity: Vec<f64>,
     load: Vec<f64>,
@@ -66,8 +64,8 @@ impl Render {
     fn maps(&self) -> RenderedMaps<'_, f64> {
         let planes = self.options.planes;
         RenderedMaps {
-            color: &self.color,
-            normal: if planes { &self.normal } else { &[] },
+            color: self.color.each_ref().map(|map| &map[..]),
+            normal: self.normal.each_ref().map(|map| if planes { &map[..] } else { &[] }),
             distance: if planes { &self.distance } else { &[] },
             opacity: &self.opacity,
             load: if self.options.load { &self.load } else { &[] },
@@ -76,7 +74,7 @@ impl Render {
 
     fn depth(&self, index: usize) -> f64 {
         let ray = self.lens.ray((index % self.width) as f64, (index / self.width) as f64);
-        plane::depth(self.distance[index], self.normal[index], ray)
+        plane::depth(self.distance[index], self.normal.each_ref().map(|map| map[index]), ray)
     }
 }
 
@@ -128,8 +126,8 @@ impl Backend for Reference {
             splats,
             drawn,
             visible: vec![false; cloud.rows.len()],
-            color: Vec::new(),
-            normal: Vec::new(),
+            color: Default::default(),
+            normal: Default::default(),
             distance: Vec::new(),
             opacity: Vec::new(),
             load: Vec::new(),
@@ -269,8 +267,8 @@ fn gather(cloud: &mut Cloud, render: &Render, sums: &[ScreenGradient], mean_pixe
     }
 }
 
-fn triples(render: &Render, values: &[Vec3<f64>]) -> Map<[f32; 3]> {
-    map(render, values.par_iter().map(|value| value.map(|v| v as f32)).collect())
+fn triples(render: &Render, values: [&[f64]; 3]) -> Map<[f32; 3]> {
+    map(render, (0..values[0].len()).map(|index| values.map(|map| map[index] as f32)).collect())
 }
 
 fn numbers(render: &Render, values: &[f64]) -> Map<f32> {

@@ -17,7 +17,7 @@ use pgsag_scene::{Image, Map, Pinhole, RigidTransform};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::cpu::SimdLevel;
+use crate::lanes::SimdLevel;
 use cost::{Bilinear, Matcher, Patch};
 
 /// A grey view for stereo.

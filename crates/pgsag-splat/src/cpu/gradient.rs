@@ -135,14 +135,16 @@ impl Task<'_> {
                 *touched &= self.back.accumulate;
                 continue;
             };
-            if !*touched || !self.back.accumulate {
-                lines.fill(Line::ZERO);
-            }
+            let fresh = !*touched || !self.back.accumulate;
             *touched = true;
+            if fresh {
+                lines[plane::HARMONICS + 3 * harmonics::basis_count(self.back.sh_degree)..].fill(Line::ZERO);
+            }
             let values = &values[group * self.planes..][..self.planes];
             let mut measures = [Line::ZERO; 4];
             for at in (0..LANES).step_by(Wide::<S>::LEN) {
-                group_gradients(&lens, self.back, values, &sums, at, lines, &mut measures);
+                let mut out = Out { lines, at, visible: Wide::<S>::zero().less(Wide::load(&sums.visible, at)), fresh };
+                group_gradients(&lens, self.back, values, &sums, &mut out, &mut measures);
             }
             if self.back.averaged_pixels.is_some() {
                 self.count(group * LANES, &sums, &measures);
@@ -213,31 +215,32 @@ struct Out<'a, S: Carried> {
     at: usize,
     /// Lanes that have gradients; in others they may be anything.
     visible: S::mask32s,
+    /// Whether nothing was there.
+    fresh: bool,
 }
 
 impl<S: Carried> Out<'_, S> {
     #[inline(always)]
     fn add(&mut self, plane: usize, value: Wide<S>) {
-        let old = Wide::<S>::load(&self.lines[plane], self.at);
-        (old + Wide::select(self.visible, value, Wide::zero())).store(&mut self.lines[plane], self.at);
+        let value = Wide::select(self.visible, value, Wide::zero());
+        let sum = if self.fresh { value } else { Wide::<S>::load(&self.lines[plane], self.at) + value };
+        sum.store(&mut self.lines[plane], self.at);
     }
 }
 
-/// Gradients of the lanes from `at` on, added to `lines`.
+/// Gradients of the lanes of `out`, added there.
 #[inline(always)]
 fn group_gradients<S: Carried>(
     lens: &Lens<Wide<S>>,
     back: &Return<'_>,
     values: &[Line],
     sums: &GroupSums,
-    at: usize,
-    lines: &mut [Line],
+    out: &mut Out<'_, S>,
     measures: &mut [Line; 4],
 ) {
+    let at = out.at;
     let lanes = Lanes { values, at };
     let totals = Lanes { values: &sums.totals, at };
-    let visible = Wide::<S>::zero().less(Wide::load(&sums.visible, at));
-    let mut out = Out { lines, at, visible };
     let ellipses = Ellipses::new(lens, lanes);
     let half = Wide::<S>::from_f64(-0.5);
     let [a, b, c] = ellipses.conic;

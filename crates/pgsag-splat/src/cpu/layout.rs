@@ -89,26 +89,10 @@ impl Layout {
         let at = |x: u32, y: u32| self.sums[(y * stride + x) as usize];
         at(x1 + 1, y1 + 1) + at(x0, y0) > at(x0, y1 + 1) + at(x1 + 1, y0)
     }
-
-    /// Calls `visit(pixel, block, lane, bits)` for every row of four pixels of a tile slot that has a drawn pixel:
-    /// the first pixel (row-major) and its lane, and one bit per drawn pixel.
-    #[inline(always)]
-    pub(crate) fn each_run(&self, slot: usize, mut visit: impl FnMut(usize, usize, usize, u16)) {
-        let (x0, y0) = self.corner(self.tiles[slot]);
-        for (block, &bits) in self.drawn[slot].iter().enumerate() {
-            let (bx, by) = ((block % (TILE / BLOCK)) * BLOCK, (block / (TILE / BLOCK)) * BLOCK);
-            let corner = (y0 as usize + by) * self.width as usize + x0 as usize + bx;
-            for row in 0..BLOCK {
-                let bits = bits >> (row * BLOCK) & ((1 << BLOCK) - 1);
-                if bits != 0 {
-                    visit(corner + row * self.width as usize, block, row * BLOCK, bits);
-                }
-            }
-        }
-    }
 }
 
 /// Block and lane of a pixel within its tile.
+#[inline(always)]
 pub(crate) fn place(x: usize, y: usize) -> (usize, usize) {
     (y / BLOCK * (TILE / BLOCK) + x / BLOCK, y % BLOCK * BLOCK + x % BLOCK)
 }

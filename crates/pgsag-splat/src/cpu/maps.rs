@@ -1,20 +1,21 @@
 //! Between block order, in which tiles are drawn, and rows, in which losses and readers think.
 
+use fearless_simd::Level;
 use rayon::prelude::*;
 
 use super::{
     backward::LEADING_PLANES,
-    lanes::{BLOCK, BLOCKS, LANES, Line, TILE},
-    layout::{Layout, of_tile},
+    lanes::{BLOCK, BLOCKS, LANES, Line, TILE, at_level},
+    layout::{Layout, of_tile, place},
     render::CpuRender,
 };
 use crate::losses::{MapGradients, RenderedMaps};
 
-/// Row-major maps of a render, 0 where nothing is drawn. Reused from step to step.
+/// Row-major maps of a render, one per channel, 0 where nothing is drawn. Reused from step to step.
 #[derive(Debug, Default)]
 pub(crate) struct Rows {
-    pub(crate) color: Vec<[f32; 3]>,
-    pub(crate) normal: Vec<[f32; 3]>,
+    pub(crate) color: [Vec<f32>; 3],
+    pub(crate) normal: [Vec<f32>; 3],
     pub(crate) distance: Vec<f32>,
     pub(crate) opacity: Vec<f32>,
     pub(crate) load: Vec<f32>,
@@ -25,20 +26,25 @@ impl Rows {
     pub(crate) fn fill(&mut self, render: &CpuRender) {
         let planes = render.options.planes;
         let stride = render.features() + 1;
-        let drawn = |plane: usize| Source { lines: &render.buffers.planes, stride, plane };
-        let load = Source { lines: &render.buffers.load, stride: 1, plane: 0 };
-        rows(&render.layout, Some(drawn(0)), &mut self.color, |rgb: [f32; 3]| rgb);
-        rows(&render.layout, planes.then(|| drawn(3)), &mut self.normal, |normal: [f32; 3]| normal);
-        rows(&render.layout, planes.then(|| drawn(6)), &mut self.distance, |[distance]: [f32; 1]| distance);
-        rows(&render.layout, Some(drawn(stride - 1)), &mut self.opacity, |[opacity]: [f32; 1]| opacity);
-        rows(&render.layout, render.options.load.then_some(load), &mut self.load, |[load]: [f32; 1]| load);
+        let Self { color: [r, g, b], normal: [x, y, z], distance, opacity, load } = self;
+        let maps = if planes {
+            vec![r, g, b, x, y, z, distance, opacity]
+        } else {
+            [x, y, z, distance].into_iter().for_each(|map| map.clear());
+            vec![r, g, b, opacity]
+        };
+        rows(&render.layout, &render.buffers.planes, stride, maps);
+        match render.options.load {
+            true => rows(&render.layout, &render.buffers.load, 1, vec![load]),
+            false => load.clear(),
+        }
     }
 
     /// As the losses want them.
     pub(crate) fn maps(&self) -> RenderedMaps<'_, f32> {
         RenderedMaps {
-            color: &self.color,
-            normal: &self.normal,
+            color: self.color.each_ref().map(|map| &map[..]),
+            normal: self.normal.each_ref().map(|map| &map[..]),
             distance: &self.distance,
             opacity: &self.opacity,
             load: &self.load,
@@ -46,103 +52,109 @@ impl Rows {
     }
 }
 
-/// Planes of a block-ordered map: `stride` lines to a block, those from `plane` on are meant.
-#[derive(Clone, Copy)]
-struct Source<'a> {
-    lines: &'a [Line],
-    stride: usize,
-    plane: usize,
-}
-
-/// Fills one map from `N` planes; empties it if there is no source.
-fn rows<T: Copy + Default + Send, const N: usize>(
-    layout: &Layout,
-    source: Option<Source<'_>>,
-    map: &mut Vec<T>,
-    make: impl Fn([f32; N]) -> T + Sync,
-) {
+/// Fills row-major maps from the planes of a block-ordered one, `stride` of them to a block. Pixels of drawn tiles that
+/// are not drawn are 0 there.
+fn rows(layout: &Layout, lines: &[Line], stride: usize, maps: Vec<&mut Vec<f32>>) {
     let (width, height) = (layout.width as usize, layout.height as usize);
-    let Some(source) = source else { return map.clear() };
-    map.resize(width * height, T::default());
-    map.par_chunks_mut(TILE * width).enumerate().for_each(|(row, band)| {
+    let mut bands: Vec<Vec<&mut [f32]>> = Vec::new();
+    bands.resize_with(height.div_ceil(TILE), Vec::new);
+    for map in maps {
+        map.resize(width * height, 0.0);
+        bands.iter_mut().zip(map.chunks_mut(TILE * width)).for_each(|(bands, band)| bands.push(band));
+    }
+    bands.into_par_iter().enumerate().for_each(|(row, mut band)| {
         let first = layout.tiles.partition_point(|&tile| tile < row as u32 * layout.columns);
         let end = layout.tiles.partition_point(|&tile| tile < (row as u32 + 1) * layout.columns);
-        band.fill(T::default());
+        if end - first < layout.columns as usize {
+            band.iter_mut().for_each(|band| band.fill(0.0));
+        }
         for slot in first..end {
-            let lines = of_tile(source.lines, slot, source.stride);
-            layout.each_run(slot, |pixel, block, lane, bits| {
-                let from = &lines[block * source.stride + source.plane..][..N];
-                let to = &mut band[pixel - row * TILE * width..];
-                for (i, to) in to.iter_mut().take(BLOCK).enumerate() {
-                    if bits >> i & 1 != 0 {
-                        *to = make(std::array::from_fn(|k| from[k].0[lane + i]));
+            let lines = of_tile(lines, slot, stride);
+            let x = layout.corner(layout.tiles[slot]).0 as usize;
+            for (plane, band) in band.iter_mut().enumerate() {
+                for (y, row) in band.chunks_exact_mut(width).enumerate() {
+                    let to = &mut row[x..(x + TILE).min(width)];
+                    for (column, to) in to.chunks_mut(BLOCK).enumerate() {
+                        let (block, lane) = place(column * BLOCK, y);
+                        copy_run(to, &lines[block * stride + plane].0[lane..lane + BLOCK]);
                     }
                 }
-            });
+            }
         }
     });
 }
 
-/// Takes the gradients of the losses into block order, with the rest Σ ĝ C of every pixel.
-pub(crate) fn take_gradients(render: &mut CpuRender, gradients: &MapGradients<f32>) {
+/// Copies a run of four, or the shorter one at the right border.
+#[inline(always)]
+fn copy_run(to: &mut [f32], from: &[f32]) {
+    match (to.first_chunk_mut::<BLOCK>(), from.first_chunk::<BLOCK>()) {
+        (Some(to), Some(from)) => *to = *from,
+        _ => to.iter_mut().zip(from).for_each(|(to, from)| *to = *from),
+    }
+}
+
+/// Takes the gradients of the losses into block order, with the rest Σ ĝ C of every pixel. Gradients at pixels that are
+/// not drawn are copied too, and reach nothing: no light passes there.
+pub(crate) fn take_gradients(level: Level, render: &mut CpuRender, gradients: &MapGradients<f32>) {
     let features = render.features();
-    let (stride, planes) = (LEADING_PLANES + features, features + 1);
-    let none = gradients.color.is_empty()
-        && gradients.normal.is_empty()
-        && gradients.distance.is_empty()
-        && gradients.opacity.is_empty();
+    let stride = LEADING_PLANES + features;
+    let [r, g, b] = &gradients.color;
+    let [x, y, z] = &gradients.normal;
+    let maps = [&gradients.opacity, r, g, b, x, y, z, &gradients.distance];
+    let maps = &maps[..=features];
+    let none = maps.iter().all(|map| map.is_empty());
     let tiles = render.layout.tiles.len();
     let load = !gradients.load.is_empty();
     render.buffers.load_gradient.resize(if load { tiles * BLOCKS } else { 0 }, Line::ZERO);
     render.buffers.upstream.resize(if none && !load { 0 } else { tiles * BLOCKS * stride }, Line::ZERO);
     let (layout, drawn) = (&render.layout, &render.buffers.planes);
     render.buffers.upstream.par_chunks_mut(BLOCKS * stride).enumerate().for_each(|(slot, out)| {
-        out.fill(Line::ZERO);
-        put(layout, slot, out, (stride, 1), &gradients.opacity, |value| [value]);
-        put(layout, slot, out, (stride, LEADING_PLANES), &gradients.color, |value| value);
-        if features == 7 {
-            put(layout, slot, out, (stride, LEADING_PLANES + 3), &gradients.normal, |value| value);
-            put(layout, slot, out, (stride, LEADING_PLANES + 6), &gradients.distance, |value| [value]);
-        }
-        for (gradients, drawn) in out.chunks_exact_mut(stride).zip(of_tile(drawn, slot, planes).chunks_exact(planes)) {
-            let mut rest = Line::ZERO;
-            let opacity = (&gradients[1], &drawn[features]);
-            let features = gradients[LEADING_PLANES..].iter().zip(drawn);
-            for (gradient, value) in features.chain(std::iter::once(opacity)) {
-                for lane in 0..LANES {
-                    rest.0[lane] += gradient.0[lane] * value.0[lane];
-                }
+        let drawn = of_tile(drawn, slot, features + 1);
+        at_level!(level, _simd => {
+            for (plane, map) in maps.iter().enumerate() {
+                put(layout, slot, out, (stride, plane + 1), map);
             }
-            gradients[0] = rest;
-        }
+            rests(out, drawn, features)
+        });
     });
     render.buffers.load_gradient.par_chunks_mut(BLOCKS).enumerate().for_each(|(slot, out)| {
-        out.fill(Line::ZERO);
-        put(layout, slot, out, (1, 0), &gradients.load, |value| [value]);
+        put(layout, slot, out, (1, 0), &gradients.load);
     });
 }
 
-/// Copies one row-major map, unless it is empty, into the planes from `plane` on of a tile with `stride` lines a block.
+/// The first plane of every block of a tile: Σ ĝ C over the features and the opacity.
 #[inline(always)]
-fn put<T: Copy, const N: usize>(
-    layout: &Layout,
-    slot: usize,
-    lines: &mut [Line],
-    (stride, plane): (usize, usize),
-    map: &[T],
-    split: impl Fn(T) -> [f32; N],
-) {
+fn rests(out: &mut [Line], drawn: &[Line], features: usize) {
+    for (gradients, drawn) in out.chunks_exact_mut(LEADING_PLANES + features).zip(drawn.chunks_exact(features + 1)) {
+        let mut rest = [0.0; LANES];
+        for plane in 0..=features {
+            // The opacity is the last plane that is drawn and the first that has a gradient.
+            let value = if plane == 0 { &drawn[features] } else { &drawn[plane - 1] };
+            for lane in 0..LANES {
+                rest[lane] += gradients[plane + 1].0[lane] * value.0[lane];
+            }
+        }
+        gradients[0] = Line(rest);
+    }
+}
+
+/// Copies one row-major map into one plane of a tile with `stride` lines a block; an empty map is 0.
+#[inline(always)]
+fn put(layout: &Layout, slot: usize, lines: &mut [Line], (stride, plane): (usize, usize), map: &[f32]) {
+    let (x, y) = layout.corner(layout.tiles[slot]);
+    let width = layout.width as usize;
+    let inside = x as usize + TILE <= width && y as usize + TILE <= layout.height as usize;
+    if map.is_empty() || !inside {
+        lines.iter_mut().skip(plane).step_by(stride).for_each(|line| *line = Line::ZERO);
+    }
     if map.is_empty() {
         return;
     }
-    layout.each_run(slot, |pixel, block, lane, bits| {
-        let to = &mut lines[block * stride + plane..][..N];
-        for (i, &value) in map[pixel..].iter().take(BLOCK).enumerate() {
-            if bits >> i & 1 != 0 {
-                for (line, value) in to.iter_mut().zip(split(value)) {
-                    line.0[lane + i] = value;
-                }
-            }
+    for (y, row) in map[y as usize * width..].chunks_exact(width).take(TILE).enumerate() {
+        let from = &row[x as usize..(x as usize + TILE).min(width)];
+        for (column, from) in from.chunks(BLOCK).enumerate() {
+            let (block, lane) = place(column * BLOCK, y);
+            copy_run(&mut lines[block * stride + plane].0[lane..lane + BLOCK], from);
         }
-    });
+    }
 }

@@ -162,12 +162,12 @@ fn gradients_are_those_of_differences() {
     let loss = |parameters: &[Vec<f64>]| -> f64 {
         naive(parameters, limits).iter().zip(&upstream).map(|(a, b)| (0..8).map(|k| a[k] * b[k]).sum::<f64>()).sum()
     };
-    let three = |at: usize| upstream.iter().map(|g| std::array::from_fn(|k| g[at + k] as f32)).collect();
+    let one = |at: usize| upstream.iter().map(|g| g[at] as f32).collect();
     let gradients = MapGradients {
-        color: three(0),
-        normal: three(3),
-        distance: upstream.iter().map(|g| g[6] as f32).collect(),
-        opacity: upstream.iter().map(|g| g[7] as f32).collect(),
+        color: [one(0), one(1), one(2)],
+        normal: [one(3), one(4), one(5)],
+        distance: one(6),
+        opacity: one(7),
         load: Vec::new(),
     };
     let base = parameters(&cloud);
@@ -185,7 +185,7 @@ fn gradients_are_those_of_differences() {
     for cpu in levels_with(limits) {
         let mut device = cpu.upload(&state(cloud.clone())).unwrap();
         let mut render = cpu.render(&device, &camera(), None, &RenderOptions { load: false, ..ALL }).unwrap();
-        take_gradients(&mut render, &gradients);
+        take_gradients(cpu.level, &mut render, &gradients);
         cpu.back(&mut device, &render, 1, false);
         let got = parameters(&cpu.gradients(&device).unwrap());
         for kind in [0..3, 3..6, 6..10, 10..11, 11..38] {

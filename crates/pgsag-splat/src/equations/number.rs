@@ -4,7 +4,7 @@
 //! order, conversion, threads. Transcendentals come from `libm`, so that every machine gives the same bytes.
 
 use std::fmt::Debug;
-use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
+use std::ops::{Add, AddAssign, BitAnd, Div, Mul, Neg, Sub, SubAssign};
 
 /// Arithmetic without branches. Implementations: `f32`, `f64`.
 pub trait Number:
@@ -18,7 +18,7 @@ pub trait Number:
     + SubAssign
 {
     /// Outcome of a comparison: one truth value per lane.
-    type Truth: Copy;
+    type Truth: Copy + BitAnd<Output = Self::Truth>;
 
     /// The constant, rounded to this precision, in every lane.
     fn from_f64(value: f64) -> Self;
@@ -69,6 +69,38 @@ pub trait Number:
     }
 }
 
+/// Neighbouring pixels as one number, so that the losses' kernels are written once: one pixel at a time in f64, a
+/// vector's worth in f32.
+pub trait Pixels<T>: Number {
+    /// Pixels at a time; divides 16.
+    const LEN: usize;
+
+    /// The first `LEN` of a slice; 0 beyond its end.
+    fn load(from: &[T]) -> Self;
+    /// Stores as many as the slice has room for.
+    fn store(self, to: &mut [T]);
+    /// `f(0), f(1), …`
+    fn each(f: impl FnMut(usize) -> T) -> Self;
+    /// The first `LEN` of a slice as numbers; 0 beyond its end.
+    fn from_bytes(bytes: &[u8]) -> Self;
+    /// `self * factor + term`; rounded once where the vector unit can.
+    fn times_plus(self, factor: Self, term: Self) -> Self;
+    /// Whether it is true of any pixel.
+    fn any(truth: Self::Truth) -> bool;
+    /// Sum over the pixels.
+    fn total(self) -> f64;
+}
+
+/// Work on rows of pixels, for pixels of any width.
+pub trait Kernel<T> {
+    /// What the work yields.
+    type Output;
+
+    /// Does it. Implementations are `#[inline(always)]`, with all that they call: so they are compiled with the
+    /// instructions of their vectors.
+    fn run<P: Pixels<T>>(self) -> Self::Output;
+}
+
 /// One value, for code that may branch on it: losses and the reference.
 pub trait Scalar: Number<Truth = bool> + PartialOrd + Default + Debug + Send + Sync + 'static {
     /// In double precision.
@@ -79,6 +111,8 @@ pub trait Scalar: Number<Truth = bool> + PartialOrd + Default + Debug + Send + S
     fn from_f32(value: f32) -> Self;
     /// From a byte, exactly.
     fn from_u8(value: u8) -> Self;
+    /// Runs a kernel on the widest pixels of this precision.
+    fn widest<K: Kernel<Self>>(kernel: K) -> K::Output;
 }
 
 impl Number for f32 {
@@ -148,6 +182,10 @@ impl Scalar for f32 {
     fn from_u8(value: u8) -> Self {
         Self::from(value)
     }
+    #[inline(always)]
+    fn widest<K: Kernel<Self>>(kernel: K) -> K::Output {
+        crate::lanes::wide::widest(kernel)
+    }
 }
 
 impl Scalar for f64 {
@@ -166,5 +204,44 @@ impl Scalar for f64 {
     #[inline(always)]
     fn from_u8(value: u8) -> Self {
         Self::from(value)
+    }
+    #[inline(always)]
+    fn widest<K: Kernel<Self>>(kernel: K) -> K::Output {
+        kernel.run::<Self>()
+    }
+}
+
+impl Pixels<Self> for f64 {
+    const LEN: usize = 1;
+
+    #[inline(always)]
+    fn load(from: &[Self]) -> Self {
+        from.first().copied().unwrap_or(0.0)
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [Self]) {
+        if let Some(to) = to.first_mut() {
+            *to = self;
+        }
+    }
+    #[inline(always)]
+    fn each(mut f: impl FnMut(usize) -> Self) -> Self {
+        f(0)
+    }
+    #[inline(always)]
+    fn from_bytes(bytes: &[u8]) -> Self {
+        bytes.first().map_or(0.0, |&byte| byte.into())
+    }
+    #[inline(always)]
+    fn times_plus(self, factor: Self, term: Self) -> Self {
+        self * factor + term
+    }
+    #[inline(always)]
+    fn any(truth: bool) -> bool {
+        truth
+    }
+    #[inline(always)]
+    fn total(self) -> f64 {
+        self
     }
 }

@@ -2,40 +2,38 @@
 //!
 //! The depth's normal comes from central differences, n_d = normalize((P_right − P_left) × (P_above − P_below)), which
 //! faces the camera. It is multiplied by the opacity, detached, to compare with a blended normal that is not normalised.
+//! Bands of rows run in parallel; within a band the gradients of the differences pass through a ring of three rows.
 
-use super::rows::{map_rows, sum_rows};
+use rayon::prelude::*;
+
+use super::total::ray;
 use super::view::LossView;
 use crate::backend::{LossWeights, Reading};
-use crate::equations::Scalar;
-use crate::equations::algebra::{Vec3, cross, dot, normalized_grad, scale, sub};
+use crate::equations::algebra::{Vec3, cross, dot, each, normalized_grad, scale, sub};
+use crate::equations::number::{Kernel, Pixels};
 use crate::equations::projection::Lens;
+use crate::equations::{Number, Scalar};
 
 /// Difference of normals below which the absolute value turns into a parabola (Huber), so that rounding does not flip
 /// the gradient of a perfect plane; 0.06 degrees.
 const SOFTENING: f64 = 1e-3;
 /// Cross product of differences below which there is no normal, relative to squared depth.
 const DEGENERATE: f64 = 1e-12;
+/// Rows of a band.
+const BAND: usize = 32;
 
-/// The maps that the term compares, `[H * W]`.
+/// The maps that the term compares, `[H * W]` each.
 #[derive(Clone, Copy, Debug)]
 pub struct NormalMaps<'a, T> {
-    /// Blended normal N, camera frame.
-    pub normal: &'a [Vec3<T>],
+    /// Blended normal N, camera frame: x, y, z.
+    pub normal: [&'a [T]; 3],
     /// Sum of blending weights.
     pub opacity: &'a [T],
-    /// Unbiased depth, 0 where undefined.
+    /// Unbiased depth, 0 where undefined and at inactive pixels.
     pub depth: &'a [T],
 }
 
-/// Normal of the depth map at one pixel with what its gradient needs.
-struct Stencil<T> {
-    across: Vec3<T>,
-    upward: Vec3<T>,
-    normal: Vec3<T>,
-    length: T,
-}
-
-/// L_ban, with its gradients times `d_loss` added to `d_normal` and `d_depth`.
+/// L_ban. Its gradients times `d_loss` are written to `d_normal` and added to `d_depth`.
 ///     L = mean_i w_i ‖n_d α − N‖₁   (code)   or   mean_i w_i ‖n_d α − N‖²   (paper)
 /// w is `normal_boundary` on boundary pixels and inner edges, 1 elsewhere, times (1 − g)² where asked. Pixels with an
 /// inactive or empty pixel in the stencil do not count, but the mean runs over all active pixels (or the frame).
@@ -44,121 +42,202 @@ pub fn boundary_normal<T: Scalar>(
     maps: NormalMaps<'_, T>,
     weights: &LossWeights,
     d_loss: f64,
-    d_normal: &mut [Vec3<T>],
+    d_normal: [&mut [T]; 3],
     d_depth: &mut [T],
 ) -> f64 {
-    let lens = Lens::<T>::new(&view.camera);
     let share = 1.0 / view.mean_count(weights.mean_over_mask) as f64;
-    // Gradients of the two differences, kept per pixel and gathered afterwards, so that rows stay independent.
-    let mut d_sides = vec![[[T::zero(); 3]; 2]; view.width * view.height];
-    let rows = map_rows(&mut d_sides, view.width, |y, d_sides| {
-        let mut loss = 0.0;
-        let mut d_row = Vec::new();
-        for x in view.spans[y].clone() {
-            let index = y * view.width + x;
-            let Some(stencil) = stencil(view, &lens, maps.depth, x, y) else { continue };
-            let weight = weight(view, weights, index);
-            let opacity = maps.opacity[index];
-            let (value, d_difference) = norm(sub(scale(stencil.normal, opacity), maps.normal[index]), weights.reading);
-            loss += weight * share * value.to_f64();
-            let d_difference = scale(d_difference, T::from_f64(weight * share * d_loss));
-            d_row.push((index, d_difference));
-            let d_cross = normalized_grad(stencil.normal, stencil.length, scale(d_difference, opacity));
-            d_sides[x] = [cross(stencil.upward, d_cross), cross(d_cross, stencil.across)];
-        }
-        (loss, d_row)
-    });
-    let mut loss = 0.0;
-    for (row, d_row) in rows {
-        loss += row;
-        d_row.into_iter().for_each(|(index, d)| d_normal[index] = sub(d_normal[index], d));
-    }
-    gather(view, &lens, &d_sides, d_depth);
-    loss
+    let [x, y, z] = d_normal.map(|map| map.chunks_mut((BAND * view.width).max(1)));
+    let bands: Vec<_> = x.zip(y).zip(z).zip(d_depth.chunks_mut((BAND * view.width).max(1))).enumerate().collect();
+    let sums: Vec<f64> = bands
+        .into_par_iter()
+        .map_init(Vec::new, |sides, (band, (((x, y), z), d_depth))| {
+            let d_normal = [x, y, z];
+            T::widest(Band {
+                view,
+                maps,
+                weights,
+                d_scale: share * d_loss,
+                first: band * BAND,
+                d_normal,
+                d_depth,
+                sides,
+            })
+        })
+        .collect();
+    sums.into_iter().sum::<f64>() * share
 }
 
-/// Carries the gradients of the differences to the four depths each was made of.
-fn gather<T: Scalar>(view: &LossView, lens: &Lens<T>, d_sides: &[[Vec3<T>; 2]], d_depth: &mut [T]) {
-    let (width, height) = (view.width, view.height);
-    sum_rows(d_depth, width, |y, d_depth| {
-        for x in 0..width {
+/// A band of rows.
+struct Band<'a, T> {
+    view: &'a LossView,
+    maps: NormalMaps<'a, T>,
+    weights: &'a LossWeights,
+    /// Gradient of the sum.
+    d_scale: f64,
+    /// First row.
+    first: usize,
+    d_normal: [&'a mut [T]; 3],
+    d_depth: &'a mut [T],
+    /// Ring of three rows by six planes: gradients of the two differences.
+    sides: &'a mut Vec<T>,
+}
+
+/// Columns beside a row of the ring, zero, so that neighbours can be read at the border.
+const MARGIN: usize = 16;
+
+impl<T: Scalar> Kernel<T> for Band<'_, T> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<P: Pixels<T>>(mut self) -> f64 {
+        self.d_normal.iter_mut().for_each(|map| map.fill(T::zero()));
+        let stride = self.view.width.next_multiple_of(MARGIN) + 2 * MARGIN;
+        self.sides.clear();
+        self.sides.resize(3 * 6 * stride, T::zero());
+        let lens = Lens::<P>::new(&self.view.camera);
+        let rows = self.d_depth.len() / self.view.width;
+        let mut loss = 0.0;
+        // Ring rows: image row `first + turn - 1` is at `turn % 3`.
+        for turn in 0..rows + 2 {
+            let own = (1..=rows).contains(&turn);
+            let row = self.first + turn;
+            if row > 0 && row <= self.view.height {
+                let sum = self.differentiate::<P>(&lens, row - 1, own, (turn % 3) * 6 * stride, stride);
+                loss += if own { sum } else { 0.0 };
+            } else {
+                self.sides[(turn % 3) * 6 * stride..][..6 * stride].fill(T::zero());
+            }
+            if turn >= 2 {
+                self.gather::<P>(&lens, turn, stride);
+            }
+        }
+        loss
+    }
+}
+
+/// Normal of the depth map with what its gradient needs.
+struct Stencil<P: Number> {
+    across: Vec3<P>,
+    upward: Vec3<P>,
+    normal: Vec3<P>,
+    length: P,
+    /// Whether there is one.
+    counts: P::Truth,
+}
+
+impl<T: Scalar> Band<'_, T> {
+    /// Compares one row: the gradients of its differences go to the ring at `ring`, those of its normals, where the row
+    /// is the band's own, to `d_normal`. Returns the row's sum.
+    #[inline(always)]
+    fn differentiate<P: Pixels<T>>(&mut self, lens: &Lens<P>, y: usize, own: bool, ring: usize, stride: usize) -> f64 {
+        let (view, width) = (self.view, self.view.width);
+        let sides = &mut self.sides[ring..][..6 * stride];
+        sides.fill(T::zero());
+        let span = view.spans[y].start.max(1)..view.spans[y].end.min(width - 1);
+        if span.is_empty() || y == 0 || y + 1 >= view.height {
+            return 0.0;
+        }
+        let d_scale = P::from_f64(self.d_scale);
+        let mut loss = P::zero();
+        for x in span.clone().step_by(P::LEN) {
             let index = y * width + x;
-            if !view.is_active(index) {
+            let stencil = stencil(view, self.maps.depth, lens, x, y);
+            if !P::any(stencil.counts) {
                 continue;
             }
-            let mut d_point = [T::zero(); 3];
-            if x > 0 {
-                d_point = add_if(d_point, d_sides[index - 1][0], T::one());
+            let zero = P::zero();
+            // Lanes past the span do not count.
+            let weight = weight::<T, P>(view, self.weights, index, y * width + span.end);
+            let weight = P::select(stencil.counts, weight, zero);
+            let opacity = P::load(&self.maps.opacity[index..]);
+            let normal: Vec3<P> = each(|k| P::load(&self.maps.normal[k][index..]));
+            let (value, d) = norm(sub(scale(stencil.normal, opacity), normal), self.weights.reading);
+            loss += weight * value;
+            let d_difference = scale(d, weight * d_scale);
+            let d_cross = normalized_grad(stencil.normal, stencil.length, scale(d_difference, opacity));
+            let d_sides = [cross(stencil.upward, d_cross), cross(d_cross, stencil.across)];
+            for (k, value) in d_sides.into_iter().flatten().enumerate() {
+                value.store(&mut sides[k * stride + MARGIN + x..][..P::LEN]);
             }
-            if x + 1 < width {
-                d_point = add_if(d_point, d_sides[index + 1][0], -T::one());
+            if own {
+                let at = index - self.first * width;
+                for k in 0..3 {
+                    (-d_difference[k]).store(&mut self.d_normal[k][at..(y - self.first) * width + span.end]);
+                }
             }
-            if y + 1 < height {
-                d_point = add_if(d_point, d_sides[index + width][1], T::one());
-            }
-            if y > 0 {
-                d_point = add_if(d_point, d_sides[index - width][1], -T::one());
-            }
-            d_depth[x] += dot(d_point, ray(lens, x, y));
         }
-        0.0
-    });
-}
-
-#[inline(always)]
-fn add_if<T: Scalar>(sum: Vec3<T>, value: Vec3<T>, sign: T) -> Vec3<T> {
-    [sum[0] + sign * value[0], sum[1] + sign * value[1], sum[2] + sign * value[2]]
-}
-
-#[inline(always)]
-fn ray<T: Scalar>(lens: &Lens<T>, x: usize, y: usize) -> Vec3<T> {
-    lens.ray(T::from_f64(x as f64), T::from_f64(y as f64))
-}
-
-#[inline(always)]
-fn stencil<T: Scalar>(view: &LossView, lens: &Lens<T>, depth: &[T], x: usize, y: usize) -> Option<Stencil<T>> {
-    let index = y * view.width + x;
-    if x == 0 || y == 0 || x + 1 >= view.width || y + 1 >= view.height || !view.is_active(index) {
-        return None;
+        loss.total()
     }
-    let point = |index: usize, x: usize, y: usize| {
-        let usable = view.is_active(index) && depth[index] > T::zero();
-        usable.then(|| scale(ray(lens, x, y), depth[index]))
-    };
-    if depth[index] <= T::zero() {
-        return None;
+
+    /// Carries the gradients of the differences to the four depths each was made of, for the row in the middle of the
+    /// ring whose newest row was written at `turn`.
+    #[inline(always)]
+    fn gather<P: Pixels<T>>(&mut self, lens: &Lens<P>, turn: usize, stride: usize) {
+        let row = turn - 2;
+        let (y, width) = (self.first + row, self.view.width);
+        let [above, middle, below] =
+            [turn + 1, turn + 2, turn].map(|turn| &self.sides[turn % 3 * 6 * stride..][..6 * stride]);
+        let span = self.view.spans[y].clone();
+        for x in span.clone().step_by(P::LEN) {
+            let at = |sides: &[T], plane: usize, x: usize| P::load(&sides[plane * stride + x..][..P::LEN]);
+            let d_point: Vec3<P> = each(|k| {
+                let across = at(middle, k, MARGIN + x - 1) - at(middle, k, MARGIN + x + 1);
+                across + (at(below, 3 + k, MARGIN + x) - at(above, 3 + k, MARGIN + x))
+            });
+            let out = &mut self.d_depth[row * width..][x..span.end];
+            (P::load(out) + dot(d_point, ray(lens, x, y))).store(out);
+        }
     }
-    let across = sub(point(index + 1, x + 1, y)?, point(index - 1, x - 1, y)?);
-    let upward = sub(point(index - view.width, x, y - 1)?, point(index + view.width, x, y + 1)?);
+}
+
+#[inline(always)]
+fn stencil<T: Scalar, P: Pixels<T>>(view: &LossView, depth: &[T], lens: &Lens<P>, x: usize, y: usize) -> Stencil<P> {
+    let (index, width) = (y * view.width + x, view.width);
+    let zero = P::zero();
+    let read = |index: usize| P::load(&depth[index..]);
+    let (middle, left, right) = (read(index), read(index - 1), read(index + 1));
+    let (above, below) = (read(index - width), read(index + width));
+    // Depth is 0 at inactive pixels.
+    let least = middle.min(left).min(right).min(above).min(below);
+    let point = |depth: P, ray: Vec3<P>| scale(ray, depth);
+    let across = sub(point(right, ray(lens, x + 1, y)), point(left, ray(lens, x - 1, y)));
+    let upward = sub(point(above, ray(lens, x, y - 1)), point(below, ray(lens, x, y + 1)));
     let normal = cross(across, upward);
     let length = dot(normal, normal).sqrt();
-    (length > T::from_f64(DEGENERATE) * depth[index] * depth[index]).then(|| Stencil {
-        across,
-        upward,
-        normal: scale(normal, T::one() / length),
-        length,
-    })
+    let counts = zero.less(least) & (P::from_f64(DEGENERATE) * middle * middle).less(length);
+    let length = P::select(counts, length, P::one());
+    Stencil { across, upward, normal: scale(normal, P::one() / length), length, counts }
 }
 
-fn weight(view: &LossView, weights: &LossWeights, index: usize) -> f64 {
-    let boundary = if view.edge[index] { f64::from(weights.normal_boundary) } else { 1.0 };
-    let smooth = 1.0 - f64::from(view.gradient.normalized(index));
-    if weights.normal_image_gradient { boundary * smooth * smooth } else { boundary }
+/// w from `index` on, 0 from `end` on.
+#[inline(always)]
+fn weight<T: Scalar, P: Pixels<T>>(view: &LossView, weights: &LossWeights, index: usize, end: usize) -> P {
+    let one = P::one();
+    let active = P::from_bytes(bytemuck::cast_slice(&view.active[index..end]));
+    let edge = P::from_bytes(bytemuck::cast_slice(&view.edge[index..end]));
+    let boundary = one - edge * P::from_f64(1.0 - f64::from(weights.normal_boundary));
+    if !weights.normal_image_gradient {
+        return active * boundary;
+    }
+    let gradient = &view.gradient;
+    let printed = P::each(|lane| T::from_f32(gradient.printed.get(index + lane).copied().unwrap_or(0.0)));
+    let smooth = one - (printed / P::from_f64(f64::from(gradient.full))).min(one);
+    active * boundary * smooth * smooth
 }
 
 /// The norm of a difference and its gradient: softened L1, or squared L2.
 #[inline(always)]
-fn norm<T: Scalar>(difference: Vec3<T>, reading: Reading) -> (T, Vec3<T>) {
+fn norm<P: Number>(difference: Vec3<P>, reading: Reading) -> (P, Vec3<P>) {
     match reading {
-        Reading::Paper => (dot(difference, difference), difference.map(|value| value + value)),
+        Reading::Paper => (dot(difference, difference), each(|k| difference[k] + difference[k])),
         Reading::Code => {
-            let soft = T::from_f64(SOFTENING);
-            let half = T::from_f64(0.5);
-            let part = difference.map(|value| {
-                let size = value.abs();
-                T::select(size.less(soft), half * value * value / soft, size - half * soft)
+            let soft = P::from_f64(SOFTENING);
+            let half = P::from_f64(0.5);
+            let part: Vec3<P> = each(|k| {
+                let size = difference[k].abs();
+                P::select(size.less(soft), half * size * size / soft, size - half * soft)
             });
-            let slope = difference.map(|value| (value / soft).clamp(-T::one(), T::one()));
+            let slope = each(|k| (difference[k] / soft).clamp(-P::one(), P::one()));
             (part[0] + part[1] + part[2], slope)
         }
     }

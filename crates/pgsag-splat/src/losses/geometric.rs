@@ -6,14 +6,17 @@
 use rayon::prelude::*;
 
 use super::view::LossView;
-use crate::equations::Scalar;
-use crate::equations::algebra::{Mat3, Vec3, add, mat_mul, mat_vec, scale, sub, transpose, transpose_vec};
+use crate::equations::algebra::{Mat3, Vec3, add, dot, each, mat_mul, mat_vec, scale, sub, transpose, transpose_vec};
+use crate::equations::number::{Kernel, Pixels};
 use crate::equations::projection::{Lens, screen, screen_grad};
+use crate::equations::{Number, Scalar};
 
 /// Error below which the distance turns into a parabola (Huber), pixels: less than depth maps resolve.
 const SOFTENING_PX: f64 = 1e-2;
-/// Pixels a thread takes at a time, at least.
-const PIXELS_AT_ONCE: usize = 4096;
+/// Rows that a thread takes at a time, at least.
+const ROWS_AT_ONCE: usize = 8;
+/// Most pixels of a vector.
+const LANES: usize = 16;
 
 /// neighbor_from_reference: X = A P + b, camera frames.
 #[derive(Clone, Copy, Debug)]
@@ -24,7 +27,7 @@ pub struct Between<T> {
     pub translation: Vec3<T>,
 }
 
-impl<T: Scalar> Between<T> {
+impl<T: Number> Between<T> {
     /// Between two prepared views; composed in f64.
     #[must_use]
     pub fn new(reference: &LossView, neighbor: &LossView) -> Self {
@@ -45,65 +48,66 @@ pub struct DepthView<'a, T> {
 }
 
 /// Outcome of the term.
-#[derive(Clone, Debug)]
-pub struct Geometric<T> {
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Geometric {
     /// Mean over valid pixels of w φ, pixels; 0 of none.
     pub value: f64,
     /// Pixels that pass the gate.
     pub valid_count: usize,
-    /// `[H * W]` w of the reference's pixels, 0 where invalid; NCC draws from these.
-    pub weights: Vec<T>,
 }
 
-/// What one pixel found.
-#[derive(Clone, Copy, Default)]
+/// What one pixel gives to the neighbour's depths.
+#[derive(Clone, Copy, Debug)]
 struct Link<T> {
-    weight: T,
-    error: T,
-    d_depth: T,
-    d_neighbor: T,
-    /// Upper left of the four depths that were read, and where between them.
+    /// Upper left of the four depths that were read.
     tap: u32,
+    /// Where between them.
     fraction: [T; 2],
+    d_neighbor: T,
 }
 
-/// L_mvgeo, with its gradients times `d_loss` added to both `d_depth` (reference, neighbour); none where `d_loss` is 0.
+/// L_mvgeo, with its gradients times `d_loss` written to the reference's `d_depth` and added to the neighbour's; neither
+/// where `d_loss` is 0.
 ///     φ = ‖π_r(Aᵀ(z m − b)) − p‖,   m = X / X_z,   z = depth_n(π_n(X)),   X = A depth_r r + b
 ///     L = 1/|V| Σ_V w φ,   w = e^{−φ / gate}, detached,   V: φ < gate, in both masks, all depths there
 /// With a gate of one pixel w is PGSR's; a wider gate widens w with it, so that far pixels still pull.
+/// `weights` `[H * W]` receives w of the reference's pixels, 0 where invalid; NCC draws from these.
 pub fn geometric<T: Scalar>(
     reference: DepthView<'_, T>,
     neighbor: DepthView<'_, T>,
     gate_px: f64,
     d_loss: f64,
+    weights: &mut [T],
     d_depth: [&mut [T]; 2],
-) -> Geometric<T> {
-    let trip = Trip::new(reference, neighbor, gate_px);
-    let links: Vec<Link<T>> = (0..reference.depth.len())
-        .into_par_iter()
-        .with_min_len(PIXELS_AT_ONCE)
-        .map(|index| trip.link(index).unwrap_or_default())
+) -> Geometric {
+    let width = reference.view.width.max(1);
+    let [d_reference, d_neighbor] = d_depth;
+    let mut slopes: Vec<&mut [T]> = if d_loss == 0.0 { Vec::new() } else { d_reference.chunks_mut(width).collect() };
+    slopes.resize_with(reference.view.height, Default::default);
+    let rows: Vec<(f64, usize, Vec<Link<T>>)> = weights
+        .par_chunks_mut(width)
+        .zip(slopes.par_iter_mut())
+        .with_min_len(ROWS_AT_ONCE)
+        .enumerate()
+        .map(|(y, (weights, d_depth))| T::widest(Trip { reference, neighbor, gate_px, y, weights, d_depth }))
         .collect();
-    let (mut sum, mut valid_count) = (0.0, 0usize);
-    for link in links.iter().filter(|link| link.weight > T::zero()) {
-        sum += (link.weight * link.error).to_f64();
-        valid_count += 1;
-    }
+    let valid_count = rows.iter().map(|row| row.1).sum::<usize>();
     let share = 1.0 / valid_count.max(1) as f64;
     if d_loss != 0.0 {
-        let [d_reference, d_neighbor] = d_depth;
         let factor = T::from_f64(d_loss * share);
-        for (link, d_reference) in links.iter().zip(d_reference).filter(|(link, _)| link.weight > T::zero()) {
-            *d_reference += factor * link.d_depth;
+        slopes.par_iter_mut().with_min_len(ROWS_AT_ONCE).for_each(|row| row.iter_mut().for_each(|d| *d = *d * factor));
+        for link in rows.iter().flat_map(|row| &row.2) {
             let tap = link.tap as usize;
-            let [row, next] = [tap, tap + neighbor.view.width];
             let shares = bilinear_shares(link.fraction);
-            for (at, share) in [row, row + 1, next, next + 1].into_iter().zip(shares) {
-                d_neighbor[at] += factor * link.d_neighbor * share;
-            }
+            let d = factor * link.d_neighbor;
+            let (above, below) = d_neighbor[tap..].split_at_mut(neighbor.view.width);
+            above[0] += d * shares[0];
+            above[1] += d * shares[1];
+            below[0] += d * shares[2];
+            below[1] += d * shares[3];
         }
     }
-    Geometric { value: sum * share, valid_count, weights: links.into_iter().map(|link| link.weight).collect() }
+    Geometric { value: rows.iter().map(|row| row.0).sum::<f64>() * share, valid_count }
 }
 
 /// Where a screen position falls between pixel centres: the upper left pixel and the fractions towards the right and
@@ -131,87 +135,192 @@ fn bilinear_shares<T: Scalar>([fx, fy]: [T; 2]) -> [T; 4] {
 
 /// Interpolated value and its slope along x and y. `corners`: upper left, upper right, lower left, lower right.
 #[inline(always)]
-pub(super) fn bilinear<T: Scalar>(corners: [T; 4], fraction: [T; 2]) -> (T, [T; 2]) {
+pub(super) fn bilinear<T: Number>(corners: [T; 4], fraction: [T; 2]) -> (T, [T; 2]) {
     let [a, b, c, d] = corners;
     let [fx, fy] = fraction;
     let (top, bottom) = (a + fx * (b - a), c + fx * (d - c));
     (top + fy * (bottom - top), [(b - a) + fy * ((d - c) - (b - a)), bottom - top])
 }
 
-/// There and back.
+/// There and back, of the pixels of one row.
 struct Trip<'a, T> {
     reference: DepthView<'a, T>,
     neighbor: DepthView<'a, T>,
-    lenses: [Lens<T>; 2],
-    between: Between<T>,
-    gate_px: T,
+    gate_px: f64,
+    y: usize,
+    weights: &'a mut [T],
+    /// Empty where no gradient is asked for.
+    d_depth: &'a mut [T],
 }
 
-impl<'a, T: Scalar> Trip<'a, T> {
-    fn new(reference: DepthView<'a, T>, neighbor: DepthView<'a, T>, gate_px: f64) -> Self {
-        let lenses = [Lens::new(&reference.view.camera), Lens::new(&neighbor.view.camera)];
-        let between = Between::new(reference.view, neighbor.view);
-        Self { reference, neighbor, lenses, between, gate_px: T::from_f64(gate_px) }
-    }
+/// The lenses of both views and the way between them.
+struct Pair<P> {
+    lenses: [Lens<P>; 2],
+    between: Between<P>,
+    gate_px: P,
+    nears: [P; 2],
+}
 
-    /// The trip of one pixel and its unnormalised gradients; `None` where it leads nowhere.
+impl<P: Number> Pair<P> {
     #[inline(always)]
-    fn link(&self, index: usize) -> Option<Link<T>> {
-        let (view, depth) = (self.reference.view, self.reference.depth[index]);
-        if depth <= T::zero() || !view.is_active(index) {
-            return None;
+    fn new(reference: &LossView, neighbor: &LossView, gate_px: f64) -> Self {
+        Self {
+            lenses: [Lens::new(&reference.camera), Lens::new(&neighbor.camera)],
+            between: Between::new(reference, neighbor),
+            gate_px: P::from_f64(gate_px),
+            nears: [P::from_f64(reference.camera.near), P::from_f64(neighbor.camera.near)],
         }
-        let [own, other] = &self.lenses;
-        let pixel = [T::from_f64((index % view.width) as f64), T::from_f64((index / view.width) as f64)];
-        let ray = own.ray(pixel[0], pixel[1]);
-        let there = add(mat_vec(&self.between.rotation, scale(ray, depth)), self.between.translation);
-        if there[2] <= T::from_f64(self.neighbor.view.camera.near) {
-            return None;
-        }
-        let (tap, fraction) = footing(self.neighbor.view, screen(other, there))?;
-        let corners = self.corners(tap)?;
-        let (found, slope) = bilinear(corners, fraction);
-        let direction = scale(there, T::one() / there[2]);
-        let back = transpose_vec(&self.between.rotation, sub(scale(direction, found), self.between.translation));
-        if back[2] <= T::from_f64(view.camera.near) {
-            return None;
-        }
-        let half = T::from_f64(0.5);
-        let end = screen(own, back);
-        let miss = [end[0] - (pixel[0] + half), end[1] - (pixel[1] + half)];
-        let distance = (miss[0] * miss[0] + miss[1] * miss[1]).sqrt();
-        if !distance.less(self.gate_px) {
-            return None;
-        }
-        let weight = (-distance / self.gate_px).exp();
-        let (error, d_miss) = softened(miss, distance, weight);
-        // Back along the trip: screen of the reference, the neighbour's depth, the screen of the neighbour.
-        let d_end = mat_vec(&self.between.rotation, screen_grad(own, back, d_miss));
-        let d_found = d_end[0] * direction[0] + d_end[1] * direction[1] + d_end[2] * direction[2];
-        let d_direction = scale(d_end, found);
-        let mut d_there = screen_grad(other, there, slope.map(|value| value * d_found));
-        let along = d_direction[0] * direction[0] + d_direction[1] * direction[1];
-        d_there = add(d_there, scale([d_direction[0], d_direction[1], -along], T::one() / there[2]));
-        let d_start = transpose_vec(&self.between.rotation, d_there);
-        let d_depth = d_start[0] * ray[0] + d_start[1] * ray[1] + d_start[2] * ray[2];
-        Some(Link { weight, error, d_depth, d_neighbor: d_found, tap: tap as u32, fraction })
     }
+}
 
-    /// The four depths; `None` where one is undefined.
+/// What was read in the neighbour.
+struct Reading<T, P> {
+    corners: [P; 4],
+    fraction: [P; 2],
+    taps: [u32; LANES],
+    fractions: [[T; LANES]; 2],
+    /// 1, or 0 where nothing could be read.
+    found: P,
+}
+
+/// A vector's worth of trips, with unnormalised gradients.
+struct Links<P: Number> {
+    counts: P::Truth,
+    weight: P,
+    error: P,
+    d_depth: P,
+    d_neighbor: P,
+}
+
+impl<T: Scalar> Kernel<T> for Trip<'_, T> {
+    /// Σ w φ, valid pixels, and what they give to the neighbour where gradients are asked for.
+    type Output = (f64, usize, Vec<Link<T>>);
+
     #[inline(always)]
-    fn corners(&self, tap: usize) -> Option<[T; 4]> {
-        let (depth, width) = (self.neighbor.depth, self.neighbor.view.width);
-        let corners = [depth[tap], depth[tap + 1], depth[tap + width], depth[tap + width + 1]];
-        corners.iter().all(|&depth| depth > T::zero()).then_some(corners)
+    fn run<P: Pixels<T>>(self) -> Self::Output {
+        let view = self.reference.view;
+        let pair = Pair::<P>::new(view, self.neighbor.view, self.gate_px);
+        let span = view.spans[self.y].clone();
+        let (mut sum, mut count) = (P::zero(), P::zero());
+        let mut links = Vec::with_capacity(if self.d_depth.is_empty() { 0 } else { span.len() });
+        self.weights.fill(T::zero());
+        self.d_depth.fill(T::zero());
+        for x in span.clone().step_by(P::LEN) {
+            let row = self.y * view.width;
+            let active = P::from_bytes(bytemuck::cast_slice(&view.active[row + x..row + span.end]));
+            let depth = active * P::load(&self.reference.depth[row + x..row + span.end]);
+            let pixel = [P::each(|lane| T::from_f64((x + lane) as f64)), P::from_f64(self.y as f64)];
+            let ray = pair.lenses[0].ray(pixel[0], pixel[1]);
+            let there = add(mat_vec(&pair.between.rotation, scale(ray, depth)), pair.between.translation);
+            let Some(read) = read(&self.neighbor, &pair, there, depth) else { continue };
+            let found = trip(&pair, pixel, ray, there, &read);
+            if !P::any(found.counts) {
+                continue;
+            }
+            let kept = |value: P| P::select(found.counts, value, P::zero());
+            let weight = kept(found.weight);
+            weight.store(&mut self.weights[x..span.end]);
+            sum += weight * kept(found.error);
+            count += kept(P::one());
+            if !self.d_depth.is_empty() {
+                kept(found.d_depth).store(&mut self.d_depth[x..span.end]);
+                let (mut kept, mut d) = ([T::zero(); LANES], [T::zero(); LANES]);
+                weight.store(&mut kept[..P::LEN]);
+                found.d_neighbor.store(&mut d[..P::LEN]);
+                for lane in (0..P::LEN).filter(|&lane| kept[lane] > T::zero()) {
+                    let fraction = [read.fractions[0][lane], read.fractions[1][lane]];
+                    links.push(Link { tap: read.taps[lane], fraction, d_neighbor: d[lane] });
+                }
+            }
+        }
+        (sum.total(), count.total() as usize, links)
     }
+}
+
+/// Reads the neighbour's depths about the points `there`, of pixels with a depth; `None` where no pixel finds any.
+#[inline(always)]
+fn read<T: Scalar, P: Pixels<T>>(
+    neighbor: &DepthView<'_, T>,
+    pair: &Pair<P>,
+    there: Vec3<P>,
+    depth: P,
+) -> Option<Reading<T, P>> {
+    let (zero, one) = (P::zero(), P::one());
+    let goes = zero.less(depth) & pair.nears[1].less(there[2]);
+    let forward = P::select(goes, there[2], one);
+    let mut at = [[T::zero(); LANES]; 3];
+    let screen = screen(&pair.lenses[1], [there[0], there[1], forward]);
+    for (value, lanes) in [screen[0], screen[1], P::select(goes, one, zero)].into_iter().zip(&mut at) {
+        value.store(&mut lanes[..P::LEN]);
+    }
+    let mut corners = [[T::zero(); LANES]; 4];
+    let mut fractions = [[T::zero(); LANES]; 2];
+    let (mut taps, mut found) = ([0; LANES], [T::zero(); LANES]);
+    let mut any = false;
+    for lane in (0..P::LEN).filter(|&lane| at[2][lane] > T::zero()) {
+        let Some((tap, fraction)) = footing(neighbor.view, [at[0][lane], at[1][lane]]) else { continue };
+        let (above, below) = neighbor.depth[tap..].split_at(neighbor.view.width);
+        let four = [above[0], above[1], below[0], below[1]];
+        if four.iter().all(|&depth| depth > T::zero()) {
+            for k in 0..4 {
+                corners[k][lane] = four[k];
+            }
+            [fractions[0][lane], fractions[1][lane]] = fraction;
+            taps[lane] = tap as u32;
+            found[lane] = T::one();
+            any = true;
+        }
+    }
+    any.then(|| Reading {
+        corners: each(|k| P::load(&corners[k][..P::LEN])),
+        fraction: each(|k| P::load(&fractions[k][..P::LEN])),
+        taps,
+        fractions,
+        found: P::load(&found[..P::LEN]),
+    })
+}
+
+/// The way back, and the gradients along the whole trip.
+#[inline(always)]
+fn trip<T: Scalar, P: Pixels<T>>(
+    pair: &Pair<P>,
+    pixel: [P; 2],
+    ray: Vec3<P>,
+    there: Vec3<P>,
+    read: &Reading<T, P>,
+) -> Links<P> {
+    let [own, other] = &pair.lenses;
+    let (zero, one, half) = (P::zero(), P::one(), P::from_f64(0.5));
+    let reads = zero.less(read.found);
+    let there = [there[0], there[1], P::select(reads, there[2], one)];
+    let (found, slope) = bilinear(read.corners, read.fraction);
+    let direction = scale(there, one / there[2]);
+    let back = transpose_vec(&pair.between.rotation, sub(scale(direction, found), pair.between.translation));
+    let returns = reads & pair.nears[0].less(back[2]);
+    let back = [back[0], back[1], P::select(returns, back[2], one)];
+    let end = screen(own, back);
+    let miss: [P; 2] = each(|k| end[k] - (pixel[k] + half));
+    let distance = (miss[0] * miss[0] + miss[1] * miss[1]).sqrt();
+    let counts = returns & distance.less(pair.gate_px);
+    let weight = (-distance.min(pair.gate_px) / pair.gate_px).exp();
+    let (error, d_miss) = softened(miss, distance, weight);
+    // Back along the trip: screen of the reference, the neighbour's depth, the screen of the neighbour.
+    let d_end = mat_vec(&pair.between.rotation, screen_grad(own, back, d_miss));
+    let d_neighbor = dot(d_end, direction);
+    let d_direction = scale(d_end, found);
+    let mut d_there = screen_grad(other, there, each(|k| slope[k] * d_neighbor));
+    let along = d_direction[0] * direction[0] + d_direction[1] * direction[1];
+    d_there = add(d_there, scale([d_direction[0], d_direction[1], -along], one / there[2]));
+    let d_depth = dot(transpose_vec(&pair.between.rotation, d_there), ray);
+    Links { counts, weight, error, d_depth, d_neighbor }
 }
 
 /// Huber's distance and its gradient times the weight.
 #[inline(always)]
-fn softened<T: Scalar>(miss: [T; 2], distance: T, weight: T) -> (T, [T; 2]) {
-    let soft = T::from_f64(SOFTENING_PX);
-    let half = T::from_f64(0.5);
-    let error = T::select(distance.less(soft), half * distance * distance / soft, distance - half * soft);
+fn softened<P: Number>(miss: [P; 2], distance: P, weight: P) -> (P, [P; 2]) {
+    let soft = P::from_f64(SOFTENING_PX);
+    let half = P::from_f64(0.5);
+    let error = P::select(distance.less(soft), half * distance * distance / soft, distance - half * soft);
     let slope = weight / distance.max(soft);
     (error, [miss[0] * slope, miss[1] * slope])
 }

@@ -32,8 +32,8 @@ pub struct NccInputs<'a, T> {
     pub view: &'a LossView,
     /// The neighbour.
     pub neighbor: &'a LossView,
-    /// Blended N of the reference, camera frame, `[H * W]`.
-    pub normal: &'a [Vec3<T>],
+    /// Blended N of the reference, camera frame: x, y, z, `[H * W]` each.
+    pub normal: [&'a [T]; 3],
     /// Blended D of the reference, scene units, `[H * W]`.
     pub distance: &'a [T],
     /// Weights of the geometric term, `[H * W]`; patches are centred where they are positive.
@@ -60,7 +60,7 @@ struct Patch<T> {
 pub fn ncc<T: Scalar>(
     inputs: &NccInputs<'_, T>,
     d_loss: f64,
-    d_normal: &mut [Vec3<T>],
+    d_normal: [&mut [T]; 3],
     d_distance: &mut [T],
 ) -> (f64, usize) {
     let centers = draw(inputs);
@@ -73,7 +73,7 @@ pub fn ncc<T: Scalar>(
     for patch in &patches {
         sum += patch.loss.to_f64();
         for axis in 0..3 {
-            d_normal[patch.index][axis] += factor * patch.d_normal[axis];
+            d_normal[axis][patch.index] += factor * patch.d_normal[axis];
         }
         d_distance[patch.index] += factor * patch.d_distance;
     }
@@ -119,6 +119,11 @@ impl<'a, T: Scalar> Warp<'a, T> {
         Self { inputs, own, other, between: Between::new(inputs.view, inputs.neighbor) }
     }
 
+    #[inline(always)]
+    fn normal(&self, index: usize) -> Vec3<T> {
+        self.inputs.normal.map(|map| map[index])
+    }
+
     /// The ray of a patch's first pixel, three rows and columns before the centre.
     #[inline(always)]
     fn first_ray(&self, index: usize) -> Vec3<T> {
@@ -146,7 +151,7 @@ impl<'a, T: Scalar> Warp<'a, T> {
     #[inline(always)]
     fn samples(&self, index: usize) -> Option<Samples<T>> {
         let neighbor = self.inputs.neighbor;
-        let (normal, inverse) = (self.inputs.normal[index], T::one() / self.inputs.distance[index]);
+        let (normal, inverse) = (self.normal(index), T::one() / self.inputs.distance[index]);
         let carried = |ray: Vec3<T>| {
             let k = dot(normal, ray) * inverse;
             sub(mat_vec(&self.between.rotation, ray), scale(self.between.translation, k))
@@ -199,7 +204,7 @@ impl<'a, T: Scalar> Warp<'a, T> {
         let pull = [-two * cross / both * weight, two * cross * cross * own / (both * both) * weight];
         let d_normal = self.differentiate(index, &reference, &samples, pull);
         // N · ĝN is the sum that D needs: ĝD = −Σ s (N · r) / D².
-        let d_distance = -dot(self.inputs.normal[index], d_normal) / self.inputs.distance[index];
+        let d_distance = -dot(self.normal(index), d_normal) / self.inputs.distance[index];
         Some(Patch { index, loss: weight * loss, d_normal, d_distance })
     }
 

@@ -1,15 +1,17 @@
 //! L_rgb: what is drawn looks like the photograph. 0.8 L1 + 0.2 (1 − SSIM), 3DGS section 5; SSIM by Wang et al. 2004.
 //!
 //! Both images are black outside the mask and both terms see the exposed render. SSIM: Gaussian window of 11 pixels,
-//! σ = 1.5, zero padding. Bands of rows run in parallel (windows are recomputed at the seams); within a band rows stream
-//! through two rings of eleven, so that all stays in cache: per channel four blurs forward and three back.
+//! σ = 1.5, zero padding. Bands of rows of one channel run in parallel (windows are recomputed at the seams); within a
+//! band rows stream through two rings of eleven, so that all stays in cache: four blurs forward and three back.
 
 use std::ops::Range;
 
-use super::rows::map_rows;
+use rayon::prelude::*;
+
 use super::view::LossView;
 use crate::backend::Exposure;
-use crate::equations::Scalar;
+use crate::equations::number::{Kernel, Pixels};
+use crate::equations::{Number, Scalar};
 
 /// Half the SSIM window, pixels.
 const HALF: usize = 5;
@@ -19,7 +21,7 @@ const SIGMA_PX: f64 = 1.5;
 const C1: f64 = 1e-4;
 /// (0.03)². Wang 2004.
 const C2: f64 = 9e-4;
-/// Columns that are worked at once: loops over so many are what compilers make vectors of.
+/// Rows of scratch are as long as a multiple of this, which every width of vectors divides.
 const LANES: usize = 16;
 /// Rows of a band.
 const BAND: usize = 96;
@@ -50,65 +52,62 @@ pub struct Photometric {
     pub d_bias: [f64; 3],
 }
 
-/// The term, with its gradient added to `d_color` (of the render before exposure).
+/// The term; its gradient is written to `d_color` (of the render before exposure), 0 at inactive pixels.
 ///     x = m (gain · I + bias),   y = m I*,   L = l1 · mean |x − y| + dssim · (1 − mean SSIM(x, y))
-/// `color` I and `d_color` `[H * W]` R G B.
+/// `color` I and `d_color`: R, G, B, `[H * W]` each.
 pub fn photometric<T: Scalar>(
     view: &LossView,
-    color: &[[T; 3]],
+    color: [&[T]; 3],
     exposure: &Exposure,
     weights: &PhotometricWeights,
-    d_color: &mut [[T; 3]],
+    d_color: [&mut [T]; 3],
 ) -> Photometric {
+    let mut tasks = Vec::new();
+    for (channel, out) in d_color.into_iter().enumerate() {
+        let plane = Plane { view, color: color[channel], channel, exposure, weights };
+        tasks.extend(out.chunks_mut((view.width * BAND).max(1)).enumerate().map(|(i, out)| (plane, i * BAND, out)));
+    }
     let window = window();
-    let level = fearless_simd::Level::new();
-    let sums = map_rows(d_color, view.width * BAND, |index, out| {
-        let first = index * BAND;
-        let source = Source { view, color, exposure, weights };
-        match source.columns(first, out.len() / view.width) {
-            Some(columns) if weights.dssim != 0.0 => {
-                let mut band = Band::new(source, columns, first, &window);
-                fearless_simd::dispatch!(level, _simd => band.run(out))
-            }
-            Some(_) => source.absolute(first, out),
-            None => Photometric::default(),
-        }
-    });
-    sums.into_iter().fold(Photometric::default(), |mut sum, band| {
+    let sums: Vec<(usize, Sums)> = tasks
+        .into_par_iter()
+        .map_init(Scratch::default, |scratch, (plane, first, out)| {
+            (plane.channel, T::widest(Band { plane, first, out, window, scratch }))
+        })
+        .collect();
+    sums.into_iter().fold(Photometric::default(), |mut sum, (channel, band)| {
         sum.l1 += band.l1;
         sum.dssim += band.dssim;
-        for channel in 0..3 {
-            sum.d_gain[channel] += band.d_gain[channel];
-            sum.d_bias[channel] += band.d_bias[channel];
-        }
+        sum.d_gain[channel] += band.d_gain;
+        sum.d_bias[channel] += band.d_bias;
         sum
     })
 }
 
 /// Centre and one side of the normalised Gaussian window.
-fn window<T: Scalar>() -> [T; HALF + 1] {
+fn window() -> [f64; HALF + 1] {
     let raw: [f64; HALF + 1] = std::array::from_fn(|i| libm::exp(-((i * i) as f64) / (2.0 * SIGMA_PX * SIGMA_PX)));
     let sum = raw[0] + 2.0 * raw[1..].iter().sum::<f64>();
-    raw.map(|value| T::from_f64(value / sum))
+    raw.map(|value| value / sum)
 }
 
-/// What the two images are made of.
+/// One channel of the two images.
 #[derive(Clone, Copy)]
-struct Source<'a, T> {
+struct Plane<'a, T> {
     view: &'a LossView,
-    color: &'a [[T; 3]],
+    color: &'a [T],
+    channel: usize,
     exposure: &'a Exposure,
     weights: &'a PhotometricWeights,
 }
 
-impl<T: Scalar> Source<'_, T> {
-    /// The columns in which SSIM matters for the rows from `first`; `None` where nothing does.
-    fn columns(&self, first: usize, rows: usize) -> Option<Range<usize>> {
+impl<T: Scalar> Plane<'_, T> {
+    /// The columns in which SSIM matters for the rows from `first`; empty where nothing does.
+    fn columns(&self, first: usize, rows: usize) -> Range<usize> {
         let reach = first.saturating_sub(2 * HALF)..(first + rows + 2 * HALF).min(self.view.height);
         let spans = self.view.spans[reach].iter().filter(|span| !span.is_empty());
         let (start, end) = spans.fold((usize::MAX, 0), |(start, end), span| (start.min(span.start), end.max(span.end)));
         let beyond = if self.weights.mean_over_mask { 0 } else { HALF };
-        (start < end).then(|| start.saturating_sub(beyond)..(end + beyond).min(self.view.width))
+        if start < end { start.saturating_sub(beyond)..(end + beyond).min(self.view.width) } else { 0..0 }
     }
 
     /// 1 / (3 · pixels averaged over).
@@ -116,199 +115,232 @@ impl<T: Scalar> Source<'_, T> {
         1.0 / (3.0 * self.view.mean_count(self.weights.mean_over_mask) as f64)
     }
 
-    /// Exposed render x and photograph y of an active pixel.
+    /// The exposed render x, the photograph y and whether a pixel is active (1, else 0 and both black), from `index` on,
+    /// up to `end`.
     #[inline(always)]
-    fn pair(&self, index: usize, channel: usize) -> [T; 2] {
-        let gain = T::from_f32(self.exposure.gain[channel]);
-        let bias = T::from_f32(self.exposure.bias[channel]);
-        let photo = T::from_u8(self.view.image.pixels[index][channel]) * T::from_f64(1.0 / 255.0);
-        [gain * self.color[index][channel] + bias, photo]
-    }
-
-    /// L1 alone, for the rows from `first`.
-    fn absolute(&self, first: usize, out: &mut [[T; 3]]) -> Photometric {
-        let mut sum = Photometric::default();
-        for channel in 0..3 {
-            for (offset, out) in out.iter_mut().enumerate() {
-                let index = first * self.view.width + offset;
-                if self.view.is_active(index) {
-                    self.finish(index, channel, T::zero(), &mut out[channel], &mut sum);
-                }
-            }
-        }
-        sum
-    }
-
-    /// Adds L1 and the given gradient of the SSIM term (with respect to x) at an active pixel.
-    #[inline(always)]
-    fn finish(&self, index: usize, channel: usize, d_ssim: T, out: &mut T, sum: &mut Photometric) {
-        let [x, y] = self.pair(index, channel);
-        let share = self.share();
-        let d_x = T::from_f64(self.weights.l1 * share) * (x - y).sign() + d_ssim;
-        *out += T::from_f32(self.exposure.gain[channel]) * d_x;
-        sum.l1 += (x - y).abs().to_f64() * share;
-        sum.d_gain[channel] += (d_x * self.color[index][channel]).to_f64();
-        sum.d_bias[channel] += d_x.to_f64();
+    fn pair<P: Pixels<T>>(&self, index: usize, end: usize) -> [P; 3] {
+        let gain = P::from_f64(f64::from(self.exposure.gain[self.channel]));
+        let bias = P::from_f64(f64::from(self.exposure.bias[self.channel]));
+        let active = P::from_bytes(bytemuck::cast_slice(&self.view.active[index..end]));
+        let photo = P::from_bytes(&self.view.photo[self.channel][index..end]) * P::from_f64(1.0 / 255.0);
+        let shown = P::load(&self.color[index..end]).times_plus(gain, bias);
+        [shown * active, photo * active, active]
     }
 }
 
-/// A band of rows, one channel at a time.
+/// Sums over a band of one channel.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    l1: f64,
+    dssim: f64,
+    d_gain: f64,
+    d_bias: f64,
+}
+
+/// Rows of a band, kept from band to band. Rows with `HALF` columns more on each side are *wide*.
+#[derive(Default)]
+struct Scratch<T> {
+    /// Wide: x, y, x² + y² and x y of one row.
+    pair: [Vec<T>; 4],
+    /// Wide: ∂S/∂(window sums) of one row.
+    slopes: [Vec<T>; 3],
+    /// Horizontal blurs of the pair: the last eleven rows.
+    means: [Vec<T>; 4],
+    /// Horizontal blurs of the slopes: the last eleven rows.
+    blurred: [Vec<T>; 3],
+}
+
+/// A band of rows of one channel.
 struct Band<'a, T> {
-    source: Source<'a, T>,
-    kernel: &'a [T; HALF + 1],
-    /// Columns in which SSIM is evaluated.
-    columns: Range<usize>,
+    plane: Plane<'a, T>,
     /// First row of the result.
     first: usize,
-    /// x and y of one row, with `HALF` columns more on each side.
-    pair: [Vec<T>; 2],
-    /// x² + y² and x y of the same.
-    products: [Vec<T>; 2],
-    /// Horizontal blurs of x, y, x² + y², x y: the last eleven rows.
-    means: [Vec<Vec<T>>; 4],
-    /// ∂S/∂(window sums) of one row, with `HALF` columns more on each side.
-    slopes: [Vec<T>; 3],
-    /// Horizontal blurs of the slopes: the last eleven rows.
-    blurred: [Vec<Vec<T>>; 3],
-    /// Vertical blurs of one row.
-    line: [Vec<T>; 4],
+    out: &'a mut [T],
+    window: [f64; HALF + 1],
+    scratch: &'a mut Scratch<T>,
 }
 
-impl<'a, T: Scalar> Band<'a, T> {
-    fn new(source: Source<'a, T>, columns: Range<usize>, first: usize, kernel: &'a [T; HALF + 1]) -> Self {
-        let width = columns.len().next_multiple_of(LANES);
-        let narrow = || vec![T::zero(); width];
-        let wide = || vec![T::zero(); width + 2 * HALF];
-        let ring = || (0..TAPS).map(|_| narrow()).collect::<Vec<_>>();
-        Self {
-            source,
-            kernel,
-            first,
-            pair: std::array::from_fn(|_| wide()),
-            products: std::array::from_fn(|_| wide()),
-            means: std::array::from_fn(|_| ring()),
-            slopes: std::array::from_fn(|_| wide()),
-            blurred: std::array::from_fn(|_| ring()),
-            line: std::array::from_fn(|_| narrow()),
-            columns,
-        }
-    }
+impl<T: Scalar> Kernel<T> for Band<'_, T> {
+    type Output = Sums;
 
     #[inline(always)]
-    fn run(&mut self, out: &mut [[T; 3]]) -> Photometric {
-        let mut sum = Photometric::default();
-        let rows = out.len() / self.source.view.width;
-        for channel in 0..3 {
-            for turn in 0..rows + 4 * HALF {
-                self.load(turn, channel);
-                if turn >= 2 * HALF {
-                    sum.dssim += self.compare(turn, rows) * self.source.share();
-                }
-                if turn >= 4 * HALF {
-                    self.emit(turn, channel, out, &mut sum);
-                }
+    fn run<P: Pixels<T>>(mut self) -> Sums {
+        self.out.fill(T::zero());
+        let rows = self.out.len() / self.plane.view.width;
+        let columns = self.plane.columns(self.first, rows);
+        let mut sums = Sums::default();
+        if columns.is_empty() {
+            return sums;
+        }
+        if self.plane.weights.dssim == 0.0 {
+            for row in 0..rows {
+                self.finish_row::<P>(row, &columns, None, &mut sums);
+            }
+            return sums;
+        }
+        let mut kernel = [P::zero(); HALF + 1];
+        for tap in 0..=HALF {
+            kernel[tap] = P::from_f64(self.window[tap]);
+        }
+        let stride = self.scratch.fit(columns.len());
+        for turn in 0..rows + 4 * HALF {
+            let ring = Ring { turn, stride };
+            self.load::<P>(&kernel, &columns, ring);
+            if turn >= 2 * HALF {
+                let loss = self.compare::<P>(&kernel, &columns, ring);
+                sums.dssim += if (3 * HALF..rows + 3 * HALF).contains(&turn) { loss } else { 0.0 };
+            }
+            if turn >= 4 * HALF {
+                self.finish_row::<P>(turn - 4 * HALF, &columns, Some((&kernel, ring)), &mut sums);
             }
         }
-        sum
+        sums.dssim *= self.plane.share();
+        sums
+    }
+}
+
+impl<T: Scalar> Scratch<T> {
+    /// Makes room for rows of so many columns and clears the margins; returns the length of a row in a ring.
+    fn fit(&mut self, columns: usize) -> usize {
+        // An odd multiple: rows of a ring a power of two apart would fight for the same cache lines.
+        let stride = (columns.div_ceil(LANES) | 1) * LANES;
+        for row in self.pair.iter_mut().chain(&mut self.slopes) {
+            row.clear();
+            row.resize(stride + 2 * HALF, T::zero());
+        }
+        for ring in self.means.iter_mut().chain(&mut self.blurred) {
+            ring.resize(stride * TAPS, T::zero());
+        }
+        stride
+    }
+}
+
+/// Where the rows of a ring are whose newest was written at `turn`.
+#[derive(Clone, Copy)]
+struct Ring {
+    turn: usize,
+    stride: usize,
+}
+
+impl Ring {
+    /// Offset of the newest row.
+    #[inline(always)]
+    fn newest(self) -> usize {
+        self.turn % TAPS * self.stride
     }
 
+    /// Offsets of all rows, oldest first.
+    #[inline(always)]
+    fn rows(self) -> [usize; TAPS] {
+        let mut rows = [0; TAPS];
+        for (i, row) in rows.iter_mut().enumerate() {
+            *row = (self.turn + 1 + i) % TAPS * self.stride;
+        }
+        rows
+    }
+}
+
+impl<T: Scalar> Band<'_, T> {
     /// Reads image row `first + turn − 10` and blurs it along the row.
     #[inline(always)]
-    fn load(&mut self, turn: usize, channel: usize) {
-        let view = self.source.view;
-        self.pair.iter_mut().for_each(|row| row.fill(T::zero()));
-        if let Some(y) = (self.first + turn).checked_sub(2 * HALF).filter(|&y| y < view.height) {
-            for x in view.spans[y].clone() {
-                let index = y * view.width + x;
-                if view.is_active(index) {
-                    let at = x + HALF - self.columns.start;
-                    let [x, y] = self.source.pair(index, channel);
-                    self.pair[0][at] = x;
-                    self.pair[1][at] = y;
-                }
+    fn load<P: Pixels<T>>(&mut self, kernel: &[P; HALF + 1], columns: &Range<usize>, ring: Ring) {
+        let view = self.plane.view;
+        let y = (self.first + ring.turn).checked_sub(2 * HALF).filter(|&y| y < view.height);
+        let [xs, ys, squares, products] = &mut self.scratch.pair;
+        let Some(y) = y.filter(|&y| !view.spans[y].is_empty()) else {
+            for means in &mut self.scratch.means {
+                means[ring.newest()..][..ring.stride].fill(T::zero());
             }
+            return;
+        };
+        let (start, end) = (y * view.width + columns.start, y * view.width + columns.end);
+        for at in (0..columns.len()).step_by(P::LEN) {
+            let [a, b, _] = self.plane.pair::<P>(start + at, end);
+            let to = HALF + at..HALF + at + P::LEN;
+            a.store(&mut xs[to.clone()]);
+            b.store(&mut ys[to.clone()]);
+            a.times_plus(a, b * b).store(&mut squares[to.clone()]);
+            (a * b).store(&mut products[to]);
         }
-        let ([x, y], [squares, product]) = (&self.pair, &mut self.products);
-        for ((x, y), (square, product)) in x.iter().zip(y).zip(squares.iter_mut().zip(product)) {
-            *square = *x * *x + *y * *y;
-            *product = *x * *y;
-        }
-        let slot = turn % TAPS;
-        for (ring, row) in self.means.iter_mut().zip(self.pair.iter().chain(&self.products)) {
-            blur_along(self.kernel, row, &mut ring[slot]);
+        for (row, means) in self.scratch.pair.iter().zip(&mut self.scratch.means) {
+            blur_along(kernel, row, &mut means[ring.newest()..][..ring.stride]);
         }
     }
 
-    /// SSIM of image row `first + turn − 15`: its slopes, blurred along the row; returns the row's sum of 1 − S where
-    /// the row belongs to the band.
+    /// SSIM of image row `first + turn − 15`: its slopes, blurred along the row; returns the row's sum of 1 − S.
     #[inline(always)]
-    fn compare(&mut self, turn: usize, rows: usize) -> f64 {
-        let view = self.source.view;
-        for (ring, line) in self.means.iter().zip(&mut self.line) {
-            blur_across(self.kernel, ring, turn, line);
-        }
-        self.slopes.iter_mut().for_each(|row| row.fill(T::zero()));
-        let mut loss = 0.0;
-        if let Some(y) = (self.first + turn).checked_sub(3 * HALF).filter(|&y| y < view.height) {
-            let own = (3 * HALF..rows + 3 * HALF).contains(&turn);
-            let classes = &view.classes[y * view.width..][self.columns.clone()];
-            for (chunk, classes) in classes.chunks(LANES).enumerate() {
-                let mut keep = [T::zero(); LANES];
-                for (keep, class) in keep.iter_mut().zip(classes) {
-                    *keep = if !self.source.weights.mean_over_mask || class.is_active() { T::one() } else { T::zero() };
-                }
-                let sum = self.compare_chunk(chunk, &keep);
-                loss += if own { sum } else { 0.0 };
+    fn compare<P: Pixels<T>>(&mut self, kernel: &[P; HALF + 1], columns: &Range<usize>, ring: Ring) -> f64 {
+        let view = self.plane.view;
+        let y = (self.first + ring.turn).checked_sub(3 * HALF).filter(|&y| y < view.height);
+        let Some(y) = y else {
+            for blurred in &mut self.scratch.blurred {
+                blurred[ring.newest()..][..ring.stride].fill(T::zero());
+            }
+            return 0.0;
+        };
+        let (start, end) = (y * view.width + columns.start, y * view.width + columns.end);
+        let (rows, everywhere) = (ring.rows(), !self.plane.weights.mean_over_mask);
+        let mut loss = P::zero();
+        for at in (0..columns.len()).step_by(P::LEN) {
+            let mut means = [P::zero(); 4];
+            for (mean, ring) in means.iter_mut().zip(&self.scratch.means) {
+                *mean = blur_across(kernel, ring, &rows, at);
+            }
+            // Lanes past the last column lie in the next row: they do not count.
+            let mut counts = P::from_bytes(bytemuck::cast_slice(&view.active[start + at..end]));
+            if everywhere {
+                counts = P::each(|lane| if at + lane < columns.len() { T::one() } else { T::zero() });
+            }
+            let (s, slopes) = similarity(means);
+            loss += counts * (P::one() - s);
+            for (row, slope) in self.scratch.slopes.iter_mut().zip(slopes) {
+                (counts * slope).store(&mut row[HALF + at..HALF + at + P::LEN]);
             }
         }
-        let slot = turn % TAPS;
-        for (ring, row) in self.blurred.iter_mut().zip(&self.slopes) {
-            blur_along(self.kernel, row, &mut ring[slot]);
+        for (row, blurred) in self.scratch.slopes.iter().zip(&mut self.scratch.blurred) {
+            blur_along(kernel, row, &mut blurred[ring.newest()..][..ring.stride]);
         }
-        loss
+        loss.total()
     }
 
-    /// SSIM of a chunk of the row whose window means are in `line`, where `keep` is 1: its slopes and sum of 1 − S.
+    /// Writes a row of the result: L1, and SSIM where its slopes are given.
     #[inline(always)]
-    fn compare_chunk(&mut self, chunk: usize, keep: &[T; LANES]) -> f64 {
-        let [x, y, squares, product] = &self.line;
-        let lanes = |row: &Vec<T>| row.as_chunks::<LANES>().0[chunk];
-        let (x, y, squares, product) = (lanes(x), lanes(y), lanes(squares), lanes(product));
-        let mut slopes = [[T::zero(); LANES]; 3];
-        let mut loss = [T::zero(); LANES];
-        for i in 0..LANES {
-            let (s, [mean, square, mixed]) = similarity([x[i], y[i], squares[i], product[i]]);
-            loss[i] = keep[i] * (T::one() - s);
-            slopes[0][i] = keep[i] * mean;
-            slopes[1][i] = keep[i] * square;
-            slopes[2][i] = keep[i] * mixed;
-        }
-        for (row, slope) in self.slopes.iter_mut().zip(&slopes) {
-            row[chunk * LANES + HALF..][..LANES].copy_from_slice(slope);
-        }
-        loss.iter().map(|value| value.to_f64()).sum()
-    }
-
-    /// Writes image row `first + turn − 20`.
-    #[inline(always)]
-    fn emit(&mut self, turn: usize, channel: usize, out: &mut [[T; 3]], sum: &mut Photometric) {
-        let view = self.source.view;
-        for (ring, line) in self.blurred.iter().zip(&mut self.line) {
-            blur_across(self.kernel, ring, turn, line);
-        }
-        let row = turn - 4 * HALF;
-        let y = self.first + row;
-        let factor = T::from_f64(-self.source.weights.dssim * self.source.share());
-        for x in view.spans[y].clone() {
-            let index = y * view.width + x;
-            if !view.is_active(index) {
-                continue;
+    fn finish_row<P: Pixels<T>>(
+        &mut self,
+        row: usize,
+        columns: &Range<usize>,
+        slopes: Option<(&[P; HALF + 1], Ring)>,
+        sums: &mut Sums,
+    ) {
+        let plane = self.plane;
+        let width = plane.view.width;
+        let (start, end) = ((self.first + row) * width + columns.start, (self.first + row) * width + columns.end);
+        let out = &mut self.out[row * width..][columns.clone()];
+        let share = plane.share();
+        let l1 = P::from_f64(plane.weights.l1 * share);
+        let dssim = P::from_f64(-plane.weights.dssim * share);
+        let gain = P::from_f64(f64::from(plane.exposure.gain[plane.channel]));
+        let (mut distance, mut d_gain, mut d_bias) = (P::zero(), P::zero(), P::zero());
+        let rows = slopes.map(|(kernel, ring)| (kernel, ring.rows()));
+        for at in (0..columns.len()).step_by(P::LEN) {
+            let [a, b, active] = plane.pair::<P>(start + at, end);
+            let mut d = l1 * (a - b).sign();
+            if let Some((kernel, rows)) = &rows {
+                let [p, q, r] = &self.scratch.blurred;
+                let mut d_ssim = blur_across(kernel, p, rows, at);
+                d_ssim = blur_across(kernel, q, rows, at).times_plus(a + a, d_ssim);
+                d_ssim = blur_across(kernel, r, rows, at).times_plus(b, d_ssim);
+                d = d_ssim.times_plus(dssim, d);
             }
-            let i = x - self.columns.start;
-            let [a, b] = self.source.pair(index, channel);
-            let d_ssim = self.line[0][i] + (a + a) * self.line[1][i] + b * self.line[2][i];
-            self.source.finish(index, channel, factor * d_ssim, &mut out[row * view.width + x][channel], sum);
+            d = d * active;
+            (gain * d).store(&mut out[at..]);
+            distance += (a - b).abs();
+            d_gain += d * P::load(&plane.color[start + at..end]);
+            d_bias += d;
         }
+        sums.l1 += distance.total() * share;
+        sums.d_gain += d_gain.total();
+        sums.d_bias += d_bias.total();
     }
 }
 
@@ -317,15 +349,15 @@ impl<'a, T: Scalar> Band<'a, T> {
 ///     P = ∂S/∂μx − 2 μx ∂S/∂σx² − μy ∂S/∂σxy
 /// `means` window means of x, y, x² + y², x y.
 #[inline(always)]
-fn similarity<T: Scalar>(means: [T; 4]) -> (T, [T; 3]) {
+fn similarity<P: Number>(means: [P; 4]) -> (P, [P; 3]) {
     let [x, y, squares, product] = means;
-    let (c1, c2) = (T::from_f64(C1), T::from_f64(C2));
+    let (c1, c2) = (P::from_f64(C1), P::from_f64(C2));
     let (xy, both) = (x * y, x * x + y * y);
     let a1 = xy + xy + c1;
     let a2 = (product - xy) + (product - xy) + c2;
     let b1 = both + c1;
     let b2 = squares - both + c2;
-    let inverse = T::one() / (b1 * b2);
+    let inverse = P::one() / (b1 * b2);
     let s = a1 * a2 * inverse;
     let d_square = -s / b2;
     let d_product = (a1 + a1) * inverse;
@@ -335,40 +367,26 @@ fn similarity<T: Scalar>(means: [T; 4]) -> (T, [T; 3]) {
 
 /// Convolves a row: `out[i]` is the window about `row[i + HALF]`.
 #[inline(always)]
-fn blur_along<T: Scalar>(kernel: &[T; HALF + 1], row: &[T], out: &mut [T]) {
-    for (chunk, out) in out.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-        let row = &row[chunk * LANES..][..LANES + 2 * HALF];
-        let mut sum = [T::zero(); LANES];
-        for i in 0..LANES {
-            sum[i] = kernel[0] * row[i + HALF];
-        }
+fn blur_along<T: Scalar, P: Pixels<T>>(kernel: &[P; HALF + 1], row: &[T], out: &mut [T]) {
+    for at in (0..out.len()).step_by(P::LEN) {
+        let row = &row[at..at + P::LEN + 2 * HALF];
+        let mut sum = kernel[0] * P::load(&row[HALF..]);
         for tap in 1..=HALF {
-            for i in 0..LANES {
-                sum[i] += kernel[tap] * (row[i + HALF - tap] + row[i + HALF + tap]);
-            }
+            sum = kernel[tap].times_plus(P::load(&row[HALF - tap..]) + P::load(&row[HALF + tap..]), sum);
         }
-        *out = sum;
+        sum.store(&mut out[at..]);
     }
 }
 
-/// Convolves across the eleven rows of a ring whose newest was written at `turn`.
+/// Convolves across the eleven rows of a ring, at one place along them.
 #[inline(always)]
-fn blur_across<T: Scalar>(kernel: &[T; HALF + 1], ring: &[Vec<T>], turn: usize, out: &mut [T]) {
-    for (chunk, out) in out.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-        let row = |i: usize| &ring[(turn + 1 + i) % TAPS].as_chunks::<LANES>().0[chunk];
-        let middle = row(HALF);
-        let mut sum = [T::zero(); LANES];
-        for i in 0..LANES {
-            sum[i] = kernel[0] * middle[i];
-        }
-        for tap in 1..=HALF {
-            let (above, below) = (row(HALF - tap), row(HALF + tap));
-            for i in 0..LANES {
-                sum[i] += kernel[tap] * (above[i] + below[i]);
-            }
-        }
-        *out = sum;
+fn blur_across<T: Scalar, P: Pixels<T>>(kernel: &[P; HALF + 1], ring: &[T], rows: &[usize; TAPS], at: usize) -> P {
+    let row = |i: usize| P::load(&ring[rows[i] + at..][..P::LEN]);
+    let mut sum = kernel[0] * row(HALF);
+    for tap in 1..=HALF {
+        sum = kernel[tap].times_plus(row(HALF - tap) + row(HALF + tap), sum);
     }
+    sum
 }
 
 #[cfg(test)]

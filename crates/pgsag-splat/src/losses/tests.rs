@@ -77,9 +77,19 @@ pub(crate) fn no_weights() -> LossWeights {
     }
 }
 
-/// `[H * W, 3]` flat numbers as colours or normals.
-pub(crate) fn triples(flat: &[f64]) -> Vec<[f64; 3]> {
-    flat.chunks(3).map(|c| [c[0], c[1], c[2]]).collect()
+/// Three maps, one after another in one list.
+pub(crate) fn planes<T>(flat: &[T]) -> [&[T]; 3] {
+    let (first, rest) = flat.split_at(flat.len() / 3);
+    let (second, third) = rest.split_at(first.len());
+    [first, second, third]
+}
+
+/// The same, to be written.
+pub(crate) fn planes_mut<T>(flat: &mut [T]) -> [&mut [T]; 3] {
+    let count = flat.len() / 3;
+    let (first, rest) = flat.split_at_mut(count);
+    let (second, third) = rest.split_at_mut(count);
+    [first, second, third]
 }
 
 /// Prints the least processor time of a few runs on one thread; a busy machine does not disturb it.

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use pgsag_scene::{Image, PixelClass};
+use pgsag_scene::PixelClass;
 
 use super::image_gradient::ImageGradient;
 use crate::backend::{TrainingView, ViewCamera};
@@ -10,7 +10,7 @@ use crate::backend::{TrainingView, ViewCamera};
 /// Half the side of an NCC patch, pixels: 7 x 7. PGSR.
 pub const PATCH_HALF: usize = 3;
 
-/// A view prepared for the losses. All maps `[H * W]`, row-major; 15 bytes per pixel.
+/// A view prepared for the losses. All maps `[H * W]`, row-major; 16 bytes per pixel.
 #[derive(Clone, Debug)]
 pub struct LossView {
     /// Of the image.
@@ -19,10 +19,12 @@ pub struct LossView {
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// The photograph.
-    pub image: Image,
+    /// The photograph: R, G, B.
+    pub photo: [Vec<u8>; 3],
     /// Class of every pixel; `Inside` everywhere without a mask.
     pub classes: Vec<PixelClass>,
+    /// Whether a pixel takes part in the losses: boundary or inside.
+    pub active: Vec<bool>,
     /// Pixels that take part: boundary or inside.
     pub active_count: usize,
     /// Seen background.
@@ -69,8 +71,9 @@ impl LossView {
             gradient: ImageGradient::new(&view.image),
             patch_fits: fits(&active, width, height, PATCH_HALF, PATCH_HALF),
             quad_fits: fits(&active, width, height, 0, 1),
-            image: view.image.clone(),
+            photo: std::array::from_fn(|channel| view.image.pixels.iter().map(|rgb| rgb[channel]).collect()),
             classes,
+            active,
         }
     }
 
@@ -78,7 +81,7 @@ impl LossView {
     #[must_use]
     #[inline]
     pub fn is_active(&self, index: usize) -> bool {
-        self.classes[index].is_active()
+        self.active[index]
     }
 
     /// Over how many pixels the photometric and normal terms average, at least 1.

@@ -73,8 +73,8 @@ pub(super) fn forward(render: &mut Render, limits: &Limits, cloud: &Cloud) {
     let mut observed = vec![false; cloud.rows.len()];
     for (shown, row_visible, row_observed) in rows {
         for Shown { channels: [r, g, b, x, y, z, distance, opacity], load } in shown {
-            render.color.push([r, g, b]);
-            render.normal.push([x, y, z]);
+            render.color.iter_mut().zip([r, g, b]).for_each(|(map, value)| map.push(value));
+            render.normal.iter_mut().zip([x, y, z]).for_each(|(map, value)| map.push(value));
             render.distance.push(distance);
             render.opacity.push(opacity);
             render.load.push(load);
@@ -135,8 +135,7 @@ fn backward_pixel(render: &Render, limits: &Limits, column: usize, row: usize, s
 /// Gradient of the total with respect to a pixel's channels and load; 0 where a map has none.
 fn gradient_at(render: &Render, index: usize) -> ([f64; CHANNELS], f64) {
     let maps = &render.gradients;
-    let triple = |map: &Vec<[f64; 3]>| map.get(index).copied().unwrap_or_default();
     let number = |map: &Vec<f64>| map.get(index).copied().unwrap_or_default();
-    let ([r, g, b], [x, y, z]) = (triple(&maps.color), triple(&maps.normal));
+    let ([r, g, b], [x, y, z]) = (maps.color.each_ref().map(number), maps.normal.each_ref().map(number));
     ([r, g, b, x, y, z, number(&maps.distance), number(&maps.opacity)], number(&maps.load))
 }

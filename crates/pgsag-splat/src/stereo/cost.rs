@@ -4,7 +4,7 @@ use fearless_simd::{Level, Simd, f32x4, prelude::*, u32x4};
 use pgsag_scene::Map;
 
 use super::{StereoOptions, StereoView, dot};
-use crate::cpu::lanes::at_level;
+use crate::lanes::at_level;
 
 /// Samples that are worked together.
 const LANES: usize = 4;

@@ -1,7 +1,7 @@
 use pgsag_scene::numbers::SplitMix64;
 
 use super::*;
-use crate::losses::tests::{loss_view, no_weights, triples};
+use crate::losses::tests::{loss_view, no_weights, planes, planes_mut};
 use crate::proof;
 
 const WIDTH: usize = 18;
@@ -13,9 +13,9 @@ fn depths_and_normals() -> Vec<f64> {
     let mut all: Vec<f64> = (0..WIDTH * HEIGHT)
         .map(|i| 5.0 + 0.5 * libm::sin(0.7 * (i % WIDTH) as f64) + 0.1 * (i / WIDTH) as f64 + random.range(0.0, 0.05))
         .collect();
-    all.extend(
-        (0..WIDTH * HEIGHT).flat_map(|_| [random.range(-0.3, 0.3), random.range(-0.3, 0.3), random.range(-0.9, -0.6)]),
-    );
+    for (low, high) in [(-0.3, 0.3), (-0.3, 0.3), (-0.9, -0.6)] {
+        all.extend((0..WIDTH * HEIGHT).map(|_| random.range(low, high)));
+    }
     // Empty, and far enough below 0 for differences not to fill it.
     all[7 * WIDTH + 9] = -1.0;
     all
@@ -27,13 +27,15 @@ fn prove(reading: Reading, normal_image_gradient: bool, mean_over_mask: bool) {
     let opacity = proof::numbers(&mut SplitMix64::new(2), WIDTH * HEIGHT, 0.5, 1.0);
     let count = WIDTH * HEIGHT;
     let value = |at: &[f64]| {
-        let normal = triples(&at[count..]);
-        let maps = NormalMaps { normal: &normal, opacity: &opacity, depth: &at[..count] };
-        let (mut d_normal, mut d_depth) = (vec![[0.0; 3]; count], vec![0.0; count]);
-        let value = boundary_normal(&view, maps, &weights, 1.0, &mut d_normal, &mut d_depth);
-        (value, [d_depth, d_normal.concat()].concat())
+        let maps = NormalMaps { normal: planes(&at[count..]), opacity: &opacity, depth: &at[..count] };
+        let (mut d_normal, mut d_depth) = (vec![0.0; 3 * count], vec![0.0; count]);
+        let value = boundary_normal(&view, maps, &weights, 1.0, planes_mut(&mut d_normal), &mut d_depth);
+        (value, [d_depth, d_normal].concat())
     };
-    let at = depths_and_normals();
+    let mut at = depths_and_normals();
+    for (depth, active) in at.iter_mut().zip(&view.active) {
+        *depth = if *active { *depth } else { -1.0 };
+    }
     let (loss, gradient) = value(&at);
     assert!(loss > 0.0);
     proof::gradient_with_step(|at| value(at).0, &at, &gradient, 1e-6, 1e-6);
@@ -54,11 +56,11 @@ fn a_plane_agrees_with_itself() {
     let view = loss_view(24, 20, 8, true);
     let lens = Lens::<f64>::new(&view.camera);
     let (n, d) = ([0.36, -0.48, -0.8], 4.0);
-    let depth: Vec<f64> = (0..24 * 20).map(|i| -d / dot(n, ray(&lens, i % 24, i / 24))).collect();
-    let normal = vec![scale(n, 0.7); 24 * 20];
-    let maps = NormalMaps { normal: &normal, opacity: &[0.7; 24 * 20], depth: &depth };
-    let mut d_normal = vec![[0.0; 3]; 24 * 20];
-    let loss = boundary_normal(&view, maps, &no_weights(), 1.0, &mut d_normal, &mut [0.0; 24 * 20]);
+    let depth: Vec<f64> = (0..24 * 20).map(|i| -d / dot(n, lens.ray((i % 24) as f64, (i / 24) as f64))).collect();
+    let normal = n.map(|value| vec![0.7 * value; 24 * 20]).concat();
+    let maps = NormalMaps { normal: planes(&normal), opacity: &[0.7; 24 * 20], depth: &depth };
+    let mut d_normal = vec![0.0; 3 * 24 * 20];
+    let loss = boundary_normal(&view, maps, &no_weights(), 1.0, planes_mut(&mut d_normal), &mut [0.0; 24 * 20]);
     assert!(loss < 1e-12, "{loss}");
 }
 
@@ -66,10 +68,11 @@ fn a_plane_agrees_with_itself() {
 fn boundary_weighs_a_tenth() {
     let mut view = loss_view(24, 20, 8, false);
     let depth = vec![3.0; 24 * 20];
-    let normal = vec![[0.5, 0.0, -0.8]; 24 * 20];
-    let maps = NormalMaps { normal: &normal, opacity: &[1.0; 24 * 20], depth: &depth };
-    let loss =
-        |view: &LossView| boundary_normal(view, maps, &no_weights(), 1.0, &mut vec![[0.0; 3]; 480], &mut [0.0; 480]);
+    let normal = [0.5, 0.0, -0.8].map(|value| vec![value; 24 * 20]).concat();
+    let maps = NormalMaps { normal: planes(&normal), opacity: &[1.0; 24 * 20], depth: &depth };
+    let loss = |view: &LossView| {
+        boundary_normal(view, maps, &no_weights(), 1.0, planes_mut(&mut vec![0.0; 3 * 480]), &mut [0.0; 480])
+    };
     let inside = loss(&view);
     view.edge.fill(true);
     let edge = loss(&view);

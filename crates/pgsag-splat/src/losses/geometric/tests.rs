@@ -16,8 +16,8 @@ fn depths(view: &LossView, seed: u64) -> Vec<f64> {
             // The plane n · X = 4 of the group, along the ray from the eye.
             let normal = [0.1, -0.2, 1.0];
             let world = transpose_vec(&lens.rotation, ray);
-            let along = crate::equations::algebra::dot(normal, world);
-            (4.0 - crate::equations::algebra::dot(normal, lens.eye)) / along + random.range(-0.02, 0.02)
+            let along = dot(normal, world);
+            (4.0 - dot(normal, lens.eye)) / along + random.range(-0.02, 0.02)
         })
         .collect()
 }
@@ -30,21 +30,24 @@ fn geometric_grad_matches_differences_in_both_depths() {
     // Weights are detached: they are held at their values at `at`.
     let found = |at: &[f64], d: [&mut [f64]; 2]| {
         let side = |view, depth| DepthView { view, depth };
-        geometric(side(&reference, &at[..COUNT]), side(&neighbor, &at[COUNT..]), 2.0, 1.0, d)
+        let mut weights = vec![0.0; COUNT];
+        let term = geometric(side(&reference, &at[..COUNT]), side(&neighbor, &at[COUNT..]), 2.0, 1.0, &mut weights, d);
+        (term, weights)
     };
     let (mut d_reference, mut d_neighbor) = (vec![0.0; COUNT], vec![0.0; COUNT]);
-    let held = found(&at, [&mut d_reference, &mut d_neighbor]);
+    let (held, weights) = found(&at, [&mut d_reference, &mut d_neighbor]);
     assert!(held.valid_count > 60, "{}", held.valid_count);
+    let pair = Pair::<f64>::new(&reference, &neighbor, 2.0);
     let value = |at: &[f64]| {
-        let trip = Trip::new(
-            DepthView { view: &reference, depth: &at[..COUNT] },
-            DepthView { view: &neighbor, depth: &at[COUNT..] },
-            2.0,
-        );
-        let sum: f64 = (0..COUNT)
-            .filter(|&index| held.weights[index] > 0.0)
-            .map(|index| held.weights[index] * trip.link(index).map_or(f64::NAN, |link| link.error))
-            .sum();
+        let side = DepthView { view: &neighbor, depth: &at[COUNT..] };
+        let error = |index: usize| {
+            let pixel = [(index % WIDTH) as f64, (index / WIDTH) as f64];
+            let ray = pair.lenses[0].ray(pixel[0], pixel[1]);
+            let there = add(mat_vec(&pair.between.rotation, scale(ray, at[index])), pair.between.translation);
+            read(&side, &pair, there, at[index]).map_or(f64::NAN, |read| trip(&pair, pixel, ray, there, &read).error)
+        };
+        let sum: f64 =
+            (0..COUNT).filter(|&index| weights[index] > 0.0).map(|index| weights[index] * error(index)).sum();
         sum / held.valid_count as f64
     };
     assert!((value(&at) - held.value).abs() < 1e-12);
@@ -57,7 +60,7 @@ fn one_plane_seen_twice_comes_back() {
     // The same camera: every trip ends where it began, but for rounding at the very border.
     let depth = depths(&reference, 3);
     let side = DepthView { view: &reference, depth: &depth };
-    let found = geometric(side, side, 1.0, 0.0, [&mut [], &mut []]);
+    let found = geometric(side, side, 1.0, 0.0, &mut [0.0; COUNT], [&mut [], &mut []]);
     assert!(found.value < 1e-12);
     assert!(found.valid_count >= (WIDTH - 2) * (HEIGHT - 2));
 }
@@ -69,10 +72,12 @@ fn masks_of_both_views_gate() {
     let (a, b) = (depths(&reference, 3), depths(&neighbor, 4));
     let count = |neighbor: &LossView| {
         let n = DepthView { view: neighbor, depth: &b };
-        geometric(DepthView { view: &reference, depth: &a }, n, 2.0, 0.0, [&mut [], &mut []])
+        let mut weights = vec![0.0; COUNT];
+        let r = DepthView { view: &reference, depth: &a };
+        (geometric(r, n, 2.0, 0.0, &mut weights, [&mut [], &mut []]), weights)
     };
-    let open = count(&neighbor);
-    assert!((0..COUNT).all(|index| open.weights[index] == 0.0 || reference.is_active(index)));
+    let (_, open) = count(&neighbor);
+    assert!((0..COUNT).all(|index| open[index] == 0.0 || reference.is_active(index)));
     neighbor.quad_fits.fill(false);
-    assert_eq!(count(&neighbor).valid_count, 0);
+    assert_eq!(count(&neighbor).0.valid_count, 0);
 }

@@ -1,6 +1,6 @@
 use super::*;
 use crate::equations::algebra::transpose_vec;
-use crate::losses::tests::{loss_view, print_processor_time, triples, turned};
+use crate::losses::tests::{loss_view, planes, planes_mut, print_processor_time, turned};
 use crate::proof;
 
 const WIDTH: u32 = 30;
@@ -28,11 +28,11 @@ fn views() -> (LossView, LossView) {
 
 fn inputs<'a>(
     pair: &'a (LossView, LossView),
-    normal: &'a [Vec3<f64>],
+    normal: &'a [f64],
     distance: &'a [f64],
     weights: &'a [f64],
 ) -> NccInputs<'a, f64> {
-    NccInputs { view: &pair.0, neighbor: &pair.1, normal, distance, weights, patch_limit: 50, seed: 11 }
+    NccInputs { view: &pair.0, neighbor: &pair.1, normal: planes(normal), distance, weights, patch_limit: 50, seed: 11 }
 }
 
 #[test]
@@ -41,13 +41,14 @@ fn ncc_grad_matches_differences() {
     let weights = vec![0.8; COUNT];
     let mut random = SplitMix64::new(6);
     let mut at: Vec<f64> = (0..COUNT).map(|_| random.range(3.0, 3.3)).collect();
-    at.extend((0..COUNT).flat_map(|_| [random.range(-0.1, 0.1), random.range(-0.1, 0.1), random.range(-0.85, -0.8)]));
+    for (low, high) in [(-0.1, 0.1), (-0.1, 0.1), (-0.85, -0.8)] {
+        at.extend((0..COUNT).map(|_| random.range(low, high)));
+    }
     let value = |at: &[f64]| {
-        let normal = triples(&at[COUNT..]);
-        let (mut d_normal, mut d_distance) = (vec![[0.0; 3]; COUNT], vec![0.0; COUNT]);
-        let inputs = inputs(&pair, &normal, &at[..COUNT], &weights);
-        let (value, kept) = ncc(&inputs, 1.0, &mut d_normal, &mut d_distance);
-        (value, kept, [d_distance, d_normal.concat()].concat())
+        let (mut d_normal, mut d_distance) = (vec![0.0; 3 * COUNT], vec![0.0; COUNT]);
+        let inputs = inputs(&pair, &at[COUNT..], &at[..COUNT], &weights);
+        let (value, kept) = ncc(&inputs, 1.0, planes_mut(&mut d_normal), &mut d_distance);
+        (value, kept, [d_distance, d_normal].concat())
     };
     let (loss, kept, gradient) = value(&at);
     assert!(kept > 30 && loss > 0.0, "{kept} {loss}");
@@ -58,10 +59,10 @@ fn ncc_grad_matches_differences() {
 fn the_true_plane_correlates_and_a_wrong_one_does_not() {
     let pair = views();
     let weights = vec![1.0; COUNT];
-    let normal = vec![[0.0, 0.0, -1.0]; COUNT];
+    let normal = [0.0, 0.0, -1.0].map(|value| vec![value; COUNT]).concat();
     let loss = |distance: f64| {
         let distance = vec![distance; COUNT];
-        ncc(&inputs(&pair, &normal, &distance, &weights), 0.0, &mut vec![[0.0; 3]; COUNT], &mut vec![0.0; COUNT])
+        ncc(&inputs(&pair, &normal, &distance, &weights), 0.0, planes_mut(&mut vec![0.0; 3 * COUNT]), &mut [0.0; COUNT])
     };
     let (right, kept) = loss(4.0);
     assert!(kept > 30 && right < 0.05, "{right} {kept}");
@@ -72,16 +73,22 @@ fn the_true_plane_correlates_and_a_wrong_one_does_not() {
 fn inverted_contrast_is_refused() {
     let mut pair = views();
     pair.1.gray.iter_mut().for_each(|value| *value = 1.0 - *value);
-    let (normal, distance, weights) = (vec![[0.0, 0.0, -1.0]; COUNT], vec![4.0; COUNT], vec![1.0; COUNT]);
-    let found =
-        ncc(&inputs(&pair, &normal, &distance, &weights), 0.0, &mut vec![[0.0; 3]; COUNT], &mut vec![0.0; COUNT]);
+    let normal = [0.0, 0.0, -1.0].map(|value| vec![value; COUNT]).concat();
+    let (distance, weights) = (vec![4.0; COUNT], vec![1.0; COUNT]);
+    let found = ncc(
+        &inputs(&pair, &normal, &distance, &weights),
+        0.0,
+        planes_mut(&mut vec![0.0; 3 * COUNT]),
+        &mut [0.0; COUNT],
+    );
     assert_eq!(found.1, 0);
 }
 
 #[test]
 fn patches_are_drawn_once_and_by_seed() {
     let pair = views();
-    let (normal, distance, weights) = (vec![[0.0, 0.0, -1.0]; COUNT], vec![4.0; COUNT], vec![1.0; COUNT]);
+    let normal = [0.0, 0.0, -1.0].map(|value| vec![value; COUNT]).concat();
+    let (distance, weights) = (vec![4.0; COUNT], vec![1.0; COUNT]);
     let mut ask = inputs(&pair, &normal, &distance, &weights);
     let first = draw(&ask);
     assert_eq!(first.len(), 50);
@@ -97,11 +104,12 @@ fn ncc_speed() {
     let (width, height) = (800, 600);
     let pair = (loss_view(width, height, 1, false), turned(width, height, 2, false));
     let count = (width * height) as usize;
-    let (normal, distance, weights) = (vec![[0.0f32, 0.0, -1.0]; count], vec![4.0; count], vec![1.0; count]);
+    let normal = [0.0f32, 0.0, -1.0].map(|value| vec![value; count]).concat();
+    let (distance, weights) = (vec![4.0; count], vec![1.0; count]);
     let (view, neighbor) = (&pair.0, &pair.1);
-    let (normal, distance, weights) = (&normal[..], &distance[..], &weights[..]);
+    let (normal, distance, weights) = (planes(&normal), &distance[..], &weights[..]);
     let inputs = NccInputs { view, neighbor, normal, distance, weights, patch_limit: 10_000, seed: 1 };
     print_processor_time("10000 patches", || {
-        ncc(&inputs, 1.0, &mut vec![[0.0; 3]; count], &mut vec![0.0; count]);
+        ncc(&inputs, 1.0, planes_mut(&mut vec![0.0; 3 * count]), &mut vec![0.0; count]);
     });
 }

@@ -1,15 +1,15 @@
 use pgsag_scene::numbers::SplitMix64;
 
 use super::*;
-use crate::losses::tests::{loss_view, no_weights, triples, turned};
+use crate::losses::tests::{loss_view, no_weights, planes, turned};
 use crate::proof;
 
 const COUNT: usize = 30 * 24;
 
 /// Maps of a fronto-parallel wall with noise.
 struct Maps {
-    color: Vec<[f64; 3]>,
-    normal: Vec<[f64; 3]>,
+    color: Vec<f64>,
+    normal: Vec<f64>,
     distance: Vec<f64>,
     opacity: Vec<f64>,
     load: Vec<f64>,
@@ -19,8 +19,8 @@ impl Maps {
     fn new(seed: u64) -> Self {
         let mut random = SplitMix64::new(seed);
         Self {
-            color: triples(&proof::numbers(&mut random, 3 * COUNT, 0.0, 1.0)),
-            normal: (0..COUNT).map(|_| [random.range(-0.1, 0.1), random.range(-0.1, 0.1), -0.9]).collect(),
+            color: proof::numbers(&mut random, 3 * COUNT, 0.0, 1.0),
+            normal: [proof::numbers(&mut random, 2 * COUNT, -0.1, 0.1), vec![-0.9; COUNT]].concat(),
             distance: proof::numbers(&mut random, COUNT, 3.5, 3.6),
             opacity: proof::numbers(&mut random, COUNT, 0.8, 1.0),
             load: proof::numbers(&mut random, COUNT, 1.0, 20.0),
@@ -29,7 +29,7 @@ impl Maps {
 
     fn rendered(&self) -> RenderedMaps<'_, f64> {
         let Self { color, normal, distance, opacity, load } = self;
-        RenderedMaps { color, normal, distance, opacity, load }
+        RenderedMaps { color: planes(color), normal: planes(normal), distance, opacity, load }
     }
 }
 
@@ -54,7 +54,7 @@ fn terms_without_weight_cost_nothing() {
     assert_eq!(out.neighbor, MapGradients::default());
     assert_eq!(out.total, 0.0);
     let out = run(&LossWeights { normal: 1.0, ..no_weights() });
-    assert!(out.reference.color.is_empty() && out.reference.load.is_empty() && out.neighbor.distance.is_empty());
+    assert!(out.reference.color[0].is_empty() && out.reference.load.is_empty() && out.neighbor.distance.is_empty());
     assert!(out.total > 0.0);
 }
 

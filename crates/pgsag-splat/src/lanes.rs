@@ -1,8 +1,10 @@
-//! Vector levels and the few vector functions the kernels share.
+//! Vector levels, the few vector functions that kernels share, and vectors as the equations' numbers (`wide`).
 //!
 //! Kernels are written once, generic over `fearless_simd::Simd`, for vectors of the level's native width (16, 8 or 4
 //! lanes), and entered through `at_level!`, which compiles them for every level that this file names.
 //! Everything they call is `#[inline(always)]`, so that it is compiled with the level's instructions.
+
+pub(crate) mod wide;
 
 use fearless_simd::{Level, Simd, prelude::*};
 use serde::{Deserialize, Serialize};

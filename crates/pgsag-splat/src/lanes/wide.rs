@@ -9,8 +9,9 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::lanes::{Line, exp2};
+use super::{LANES, Line, SimdLevel, at_level, exp2};
 use crate::equations::Number;
+use crate::equations::number::{Kernel, Pixels};
 
 /// A level whose token can be found again on this thread.
 pub(crate) trait Carried: Simd {
@@ -87,6 +88,102 @@ impl<S: Carried> Wide<S> {
         }
         Self((series * ratio).mul_add(S::f32s::splat(simd, std::f32::consts::LOG2_E), exponent))
     }
+}
+
+impl<S: Carried> Pixels<f32> for Wide<S> {
+    const LEN: usize = S::f32s::LEN;
+
+    #[inline(always)]
+    fn load(from: &[f32]) -> Self {
+        match from.get(..S::f32s::LEN) {
+            Some(whole) => Self(S::f32s::from_slice(S::carried(), whole)),
+            None => Self::load_short(from),
+        }
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f32]) {
+        match to.get_mut(..S::f32s::LEN) {
+            Some(whole) => self.0.store_slice(whole),
+            None => self.store_short(to),
+        }
+    }
+    #[inline(always)]
+    fn each(mut f: impl FnMut(usize) -> f32) -> Self {
+        let mut line = [0.0; LANES];
+        for (lane, value) in line.iter_mut().enumerate().take(S::f32s::LEN) {
+            *value = f(lane);
+        }
+        Self(S::f32s::from_slice(S::carried(), &line[..S::f32s::LEN]))
+    }
+    #[inline(always)]
+    fn from_bytes(bytes: &[u8]) -> Self {
+        let mut line = [0.0; LANES];
+        match bytes.first_chunk::<LANES>() {
+            Some(bytes) => {
+                for lane in 0..LANES {
+                    line[lane] = f32::from(bytes[lane]);
+                }
+            }
+            None => line.iter_mut().zip(bytes).for_each(|(value, &byte)| *value = f32::from(byte)),
+        }
+        Self(S::f32s::from_slice(S::carried(), &line[..S::f32s::LEN]))
+    }
+    #[inline(always)]
+    fn times_plus(self, factor: Self, term: Self) -> Self {
+        Self(self.0.mul_add(factor.0, term.0))
+    }
+    #[inline(always)]
+    fn any(truth: S::mask32s) -> bool {
+        truth.any_true()
+    }
+    #[inline(always)]
+    fn total(self) -> f64 {
+        let mut line = [0.0; LANES];
+        self.0.store_slice(&mut line[..S::f32s::LEN]);
+        line.iter().map(|&value| f64::from(value)).sum()
+    }
+}
+
+impl<S: Carried> Wide<S> {
+    #[cold]
+    fn load_short(from: &[f32]) -> Self {
+        let mut line = [0.0; LANES];
+        line[..from.len()].copy_from_slice(from);
+        Self(S::f32s::from_slice(S::carried(), &line[..S::f32s::LEN]))
+    }
+
+    #[cold]
+    fn store_short(self, to: &mut [f32]) {
+        let mut line = [0.0; LANES];
+        self.0.store_slice(&mut line[..S::f32s::LEN]);
+        to.copy_from_slice(&line[..to.len()]);
+    }
+}
+
+/// Σ e^x.
+#[inline(always)]
+pub(crate) fn exp_sum<S: Carried>(simd: S, values: &[f32]) -> f64 {
+    simd.carry();
+    values
+        .chunks(S::f32s::LEN)
+        .map(|chunk| {
+            // What is missing in the last chunk counts nothing.
+            let ones = Wide::<S>::each(|lane| if lane < chunk.len() { 1.0 } else { 0.0 });
+            (<Wide<S> as Pixels<f32>>::load(chunk).exp() * ones).total()
+        })
+        .sum()
+}
+
+/// Runs a kernel on the widest vectors of this machine.
+pub(crate) fn widest<K: Kernel<f32>>(kernel: K) -> K::Output {
+    let level = SimdLevel::Auto.detected().expect("the scalar level is everywhere");
+    at_level!(level, simd => run_carried(simd, kernel))
+}
+
+#[inline(always)]
+fn run_carried<S: Carried, K: Kernel<f32>>(simd: S, kernel: K) -> K::Output {
+    simd.carry();
+    kernel.run::<Wide<S>>()
 }
 
 impl<S: Carried> Number for Wide<S> {
@@ -172,7 +269,6 @@ impl<S: Carried> Neg for Wide<S> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::lanes::{LANES, SimdLevel, at_level};
     use super::*;
 
     #[inline(always)]
