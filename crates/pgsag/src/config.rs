@@ -68,6 +68,8 @@ pub struct Config {
     pub simd: String,
     /// Every Nth image by sorted name is kept out of training; 0: none.
     pub holdout: u32,
+    /// Metres in one unit of the scene; 0: as the scene's own files say.
+    pub metres_per_unit: f64,
     /// A GeoJSON polygon in scene coordinates; empty: everything.
     pub aoi: String,
     /// Truth to score against; empty: no score.
@@ -113,6 +115,7 @@ impl Default for Config {
             device: "auto".into(),
             simd: "auto".into(),
             holdout: 0,
+            metres_per_unit: 0.0,
             aoi: String::new(),
             truth: String::new(),
             coarse: CoarseOptions::default(),

@@ -37,7 +37,7 @@ const IMAGES: &str = "image_width";
 #[rustfmt::skip]
 pub static PIPELINE: &[Stage] = &[
     Stage { sources: import::sources,
-    ..row::<import::Imported>("import", &[], Per::Whole, &[], import::jobs, import::run) },
+    ..row::<import::Imported>("import", &[], Per::Whole, &["metres_per_unit"], import::jobs, import::run) },
     row::<coarse::Coarse>("coarse", &["import"], Per::Whole, &["coarse", "neighbors", "holdout", IMAGES], coarse::jobs, coarse::run),
     Stage { sources: masks::sources,
     ..row::<masks::MaskList>("masks", &["import"], Per::Image, &["masks", IMAGES], masks::jobs, masks::run) },

@@ -148,8 +148,18 @@ pub(crate) fn jobs(_: &Run) -> Result<Vec<JobPlan>> {
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
-    let scene_folder = PathBuf::from(config(job.run)?.scene);
-    let opened = open_scene(&scene_folder)?;
+    let config = config(job.run)?;
+    let scene_folder = PathBuf::from(&config.scene);
+    let mut opened = open_scene(&scene_folder)?;
+    let given = config.metres_per_unit;
+    if !given.is_finite() || given < 0.0 {
+        let cause = format!("{given} is not a scale");
+        return Err(UserError::new("metres_per_unit", cause, "give a positive number, or 0 where files tell it").into());
+    }
+    if given > 0.0 {
+        opened.scene.frame.metres_per_unit = Some(given);
+        opened.notes.retain(|note| note.code != "scale-unknown");
+    }
     for note in &opened.notes {
         job.warn(format!("{} ({})", note.text, note.code));
     }

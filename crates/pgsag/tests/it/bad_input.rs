@@ -67,6 +67,7 @@ fn wrong_words_are_named_with_a_cure() {
     assert!(with(&["--set", "train.iteration=7"]).contains("there is no such key"));
     assert!(with(&["--memory-limit", "lots"]).contains("write it like 8GiB"));
     assert!(with(&["--simd", "mmx"]).contains("scalar"));
+    assert!(with(&["--set", "metres_per_unit=-2"]).contains("is not a scale"));
     assert!(with(&["--until", "lunch"]).contains("import coarse masks"));
     let line = with(&["--memory-limit", "1MiB"]);
     assert!(line.contains("needs about") && line.contains("--memory-limit"), "{line}");

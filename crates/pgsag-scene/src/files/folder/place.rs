@@ -37,7 +37,7 @@ pub(super) fn find(
     use_cameras(views, &mut known);
     if known.frame.metres_per_unit.is_none() {
         let text = "the scale is unknown: lengths are measured in median depths; a georef.json with metres_per_unit, \
-                    or photographs with GPS, would tell it";
+                    photographs with GPS, or the setting metres_per_unit would tell it";
         notes.push(Note::new("scale-unknown", text));
         known.sources.push("scale unknown".into());
     }
