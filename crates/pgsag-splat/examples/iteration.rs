@@ -1,17 +1,18 @@
 //! CPU milliseconds of one training iteration, phase by phase, on one thread, and how they grow with Gaussians and
-//! pixels. The scene is synthetic: flat Gaussians about an undulating ground, sized so that the overlap per pixel stays
+//! pixels, shrink with the mask, and what a neighbour costs; then wall milliseconds with one and two threads. The scene is synthetic: flat Gaussians about an undulating ground, sized so that the overlap per pixel stays
 //! about the same whatever their number.
 //!
-//!     cargo run --release -p pgsag-splat --example iteration [level]
+//!     cargo run --release -p pgsag-splat --example iteration [level] [repeats]
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
+use std::time::Instant;
 
-use pgsag_scene::{Image, Pinhole, numbers::SplitMix64};
+use pgsag_scene::{Image, Mask, Pinhole, PixelClass, numbers::SplitMix64};
 use pgsag_splat::backend::{
     Backend, Exposure, LossWeights, OptimizerState, Rates, Reading, RenderOptions, Sample, TrainingView, ViewCamera,
 };
-use pgsag_splat::cloud::SplatCloud;
+use pgsag_splat::cloud::{SplatCloud, curve_order};
 use pgsag_splat::cpu::{Cpu, CpuOptions, SimdLevel};
 
 /// CPU time of this thread, milliseconds.
@@ -53,7 +54,8 @@ fn scene(count: usize) -> SplatCloud {
         cloud.opacity_logits.push(stream.range(-3.0, 2.5) as f32);
         cloud.harmonics.extend((0..48).map(|k| if k < 3 { stream.normal() } else { 0.1 * stream.normal() } as f32));
     }
-    cloud
+    // As the trainer keeps it.
+    cloud.reordered(&curve_order(&cloud.means))
 }
 
 fn photograph(width: u32, height: u32) -> Image {
@@ -66,18 +68,34 @@ fn photograph(width: u32, height: u32) -> Image {
     image
 }
 
-fn weights(planes: bool) -> LossWeights {
+/// What an iteration has to do.
+#[derive(Clone, Copy)]
+struct Case {
+    count: usize,
+    size: (u32, u32),
+    /// Eight channels and Eq. 8; else colour alone.
+    planes: bool,
+    /// With a neighbour, the geometric term and 25 600 patches.
+    neighbor: bool,
+    /// Whether a disc of 15 % of the image is all that is active.
+    masked: bool,
+}
+
+const SMALL: (u32, u32) = (708, 522);
+const PLAIN: Case = Case { count: 100_000, size: SMALL, planes: true, neighbor: false, masked: false };
+
+fn weights(case: &Case) -> LossWeights {
     LossWeights {
         l1: 0.8,
         dssim: 0.2,
         flatness: 100.0,
-        normal: if planes { 0.015 } else { 0.0 },
+        normal: if case.planes { 0.015 } else { 0.0 },
         normal_boundary: 0.1,
         normal_image_gradient: true,
-        geometric: 0.0,
-        geometric_gate_px: 1.0,
-        ncc: 0.0,
-        ncc_patches: 0,
+        geometric: if case.neighbor { 0.03 } else { 0.0 },
+        geometric_gate_px: 4.0,
+        ncc: if case.neighbor { 0.15 } else { 0.0 },
+        ncc_patches: 25_600,
         load: 0.0,
         free_opacity: 0.0,
         reading: Reading::Code,
@@ -85,21 +103,28 @@ fn weights(planes: bool) -> LossWeights {
     }
 }
 
+/// A disc in the middle, of 15 % of the image.
+fn disc((width, height): (u32, u32)) -> Mask {
+    let mut mask = Mask::filled(width, height, PixelClass::Occluded);
+    let radius_squared = 0.15 * f64::from(width) * f64::from(height) / std::f64::consts::PI;
+    for (i, class) in mask.classes.iter_mut().enumerate() {
+        let x = f64::from(i as u32 % width) - 0.5 * f64::from(width);
+        let y = f64::from(i as u32 / width) - 0.5 * f64::from(height);
+        if x * x + y * y < radius_squared {
+            *class = PixelClass::Inside;
+        }
+    }
+    mask
+}
+
 const RATES: Rates = Rates { means: 1e-7, scales: 1e-7, rotations: 1e-7, opacity: 1e-7, color: 1e-7, harmonics: 1e-7 };
 
 /// When the last phase ended, and what each took, CPU milliseconds.
 type Spent = (f64, Vec<(&'static str, f64)>);
 
-/// Mean milliseconds of each phase over some iterations, in order of phases, and blended entries per pixel.
-fn measure(
-    simd: SimdLevel,
-    count: usize,
-    (width, height): (u32, u32),
-    planes: bool,
-    repeats: u32,
-) -> (Vec<(String, f64)>, f64) {
-    let phases: Arc<Mutex<Spent>> = Arc::default();
-    let record = Arc::clone(&phases);
+/// The backend, which records what every phase takes.
+fn probed(simd: SimdLevel, phases: &Arc<Mutex<Spent>>) -> Cpu {
+    let record = Arc::clone(phases);
     let probe = move |name| {
         if let Ok(mut phases) = record.lock() {
             let now = cpu_ms();
@@ -109,28 +134,48 @@ fn measure(
         }
     };
     let cpu = Cpu::new(CpuOptions { simd, ..CpuOptions::default() }).expect("a level that this machine has");
-    let cpu = cpu.with_probe(Box::new(probe));
-    let state = OptimizerState { cloud: scene(count), ..OptimizerState::default() };
+    cpu.with_probe(Box::new(probe))
+}
+
+/// Mean milliseconds of each phase over some iterations, in order of phases; the mean wall milliseconds of an
+/// iteration; blended entries per pixel.
+fn measure(simd: SimdLevel, case: &Case, repeats: u32) -> (Vec<(String, f64)>, f64, f64) {
+    let phases: Arc<Mutex<Spent>> = Arc::default();
+    let cpu = probed(simd, &phases);
+    let state = OptimizerState { cloud: scene(case.count), ..OptimizerState::default() };
     let mut cloud = cpu.upload(&state).expect("fits");
+    let (width, height) = case.size;
     let camera = camera(width, height);
-    let view = TrainingView { camera, image: photograph(width, height), mask: None, inner_edges: None };
+    let aside = ViewCamera { translation: [0.2, 0.0, 0.0], ..camera };
+    let mask = case.masked.then(|| disc(case.size));
+    let view = TrainingView { camera, image: photograph(width, height), mask, inner_edges: None };
+    let other = cpu.prepare(&TrainingView { camera: aside, ..view.clone() }).expect("a view");
     let view = cpu.prepare(&view).expect("a view");
-    let options = RenderOptions { sh_degree: 3, planes, gradient: true, statistics: true, ..RenderOptions::default() };
+    let options = RenderOptions {
+        sh_degree: 3,
+        planes: case.planes,
+        gradient: true,
+        statistics: true,
+        ..RenderOptions::default()
+    };
+    let beside = RenderOptions { planes: true, gradient: true, ..RenderOptions::default() };
     let counted = cpu.render(&cloud, &camera, None, &RenderOptions { load: true, ..options }).expect("a render");
     let load = cpu.read(&counted).expect("maps").load.values;
     let entries = load.iter().map(|&value| f64::from(value)).sum::<f64>() / load.len() as f64;
     drop(counted);
+    let weights = weights(case);
     let mut means: BTreeMap<usize, (String, f64)> = BTreeMap::new();
+    let mut began = Instant::now();
     for step in 1..=repeats {
         if let Ok(mut phases) = phases.lock() {
             *phases = (cpu_ms(), Vec::new());
         }
         let mut render = cpu.render(&cloud, &camera, Some(&view), &options).expect("a render");
-        let weights = weights(planes);
+        let mut neighbor = case.neighbor.then(|| cpu.render(&cloud, &aside, Some(&other), &beside).expect("a render"));
         let mut sample = Sample {
             view: &view,
             render: &mut render,
-            neighbor: None,
+            neighbor: neighbor.as_mut().map(|render| (&other, render)),
             exposure: Exposure::NEUTRAL,
             weights: &weights,
             scene_scale: 10.0,
@@ -140,14 +185,17 @@ fn measure(
         cpu.backward(&mut cloud, &sample).expect("gradients");
         cpu.adam(&mut cloud, &RATES, step).expect("a step");
         // The first iteration allocates.
-        if let (Ok(phases), true) = (phases.lock(), step > 1) {
+        if step == 1 {
+            began = Instant::now();
+        } else if let Ok(phases) = phases.lock() {
             for (i, &(name, ms)) in phases.1.iter().enumerate() {
                 let entry = means.entry(i).or_insert((name.to_owned(), 0.0));
                 entry.1 += ms / f64::from(repeats - 1);
             }
         }
     }
-    (means.into_values().collect(), entries)
+    let wall_ms = began.elapsed().as_secs_f64() * 1e3 / f64::from(repeats - 1);
+    (means.into_values().collect(), wall_ms, entries)
 }
 
 #[expect(clippy::print_stdout, reason = "the table is what this is for")]
@@ -159,27 +207,35 @@ fn main() {
         Some("scalar") => SimdLevel::Scalar,
         _ => SimdLevel::Auto,
     };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
-    let size = (708, 522);
+    let repeats = std::env::args().nth(2).and_then(|text| text.parse().ok()).unwrap_or(13);
+    let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+    let (one, two) = (pool(1), pool(2));
     let cases = [
-        (20_000, size, false),
-        (20_000, size, true),
-        (40_000, size, true),
-        (80_000, size, true),
-        (100_000, size, false),
-        (100_000, size, true),
-        (100_000, (1416, 1044), true),
+        Case { count: 20_000, planes: false, ..PLAIN },
+        Case { count: 20_000, ..PLAIN },
+        Case { planes: false, ..PLAIN },
+        PLAIN,
+        Case { masked: true, ..PLAIN },
+        Case { neighbor: true, ..PLAIN },
+        Case { count: 300_000, ..PLAIN },
+        Case { count: 400_000, ..PLAIN },
+        Case { size: (1416, 1044), ..PLAIN },
     ];
-    for (count, size, planes) in cases {
-        let (phases, entries) = pool.install(|| measure(simd, count, size, planes, 13));
+    for case in cases {
+        let (phases, _, entries) = one.install(|| measure(simd, &case, repeats));
         let total: f64 = phases.iter().map(|(_, ms)| ms).sum();
         let list: Vec<String> = phases.iter().map(|(name, ms)| format!("{name} {ms:.1}")).collect();
-        let channels = if planes { 8 } else { 3 };
         println!(
-            "{count} Gaussians, {}x{}, {channels} channels, {entries:.1} per pixel: {total:.1} CPU ms: {}",
-            size.0,
-            size.1,
+            "{} Gaussians, {}x{}, {} channels{}{}, {entries:.1} per pixel: {total:.1} CPU ms: {}",
+            case.count,
+            case.size.0,
+            case.size.1,
+            if case.planes { 8 } else { 3 },
+            if case.masked { ", 15 % mask" } else { "" },
+            if case.neighbor { ", with a neighbour" } else { "" },
             list.join(", ")
         );
     }
+    let walls = [&one, &two].map(|pool| pool.install(|| measure(simd, &PLAIN, repeats).1));
+    println!("wall ms of {} Gaussians: {:.1} with one thread, {:.1} with two", PLAIN.count, walls[0], walls[1]);
 }

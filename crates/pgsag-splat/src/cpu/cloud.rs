@@ -6,6 +6,8 @@
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
+use rayon::prelude::*;
+
 use crate::{
     backend::{DensityPlan, DensityStatistics, OptimizerState},
     cloud::SplatCloud,
@@ -108,23 +110,28 @@ impl CpuCloud {
         self.to_cloud(&self.gradients, |group, plane| self.touched[group] && plane < self.gradient_planes)
     }
 
-    fn to_cloud(&self, lines: &[Line], holds: impl Fn(usize, usize) -> bool) -> SplatCloud {
+    fn to_cloud(&self, lines: &[Line], holds: impl Fn(usize, usize) -> bool + Sync) -> SplatCloud {
         let at = |i: usize, plane: usize| {
             let group = i / LANES;
             if holds(group, plane) { lines[group * self.planes + plane].0[i % LANES] } else { 0.0 }
         };
-        let rows = 0..self.count;
+        let rows = (0..self.count).into_par_iter();
+        let width = self.planes - plane::HARMONICS;
+        let mut harmonics = vec![0.0; self.count * width];
+        harmonics.par_chunks_mut(LANES * width).enumerate().for_each(|(group, out)| {
+            for p in (0..width).filter(|p| holds(group, plane::HARMONICS + p)) {
+                let line = &lines[group * self.planes + plane::HARMONICS + p];
+                out.iter_mut().skip(p).step_by(width).zip(line.0).for_each(|(to, from)| *to = from);
+            }
+        });
         SplatCloud {
             origin_world: self.origin_world,
             sh_degree: self.sh_degree,
             means: rows.clone().map(|i| std::array::from_fn(|k| at(i, plane::MEAN + k))).collect(),
             log_scales: rows.clone().map(|i| std::array::from_fn(|k| at(i, plane::LOG_SCALE + k))).collect(),
             rotations: rows.clone().map(|i| std::array::from_fn(|k| at(i, plane::ROTATION + k))).collect(),
-            opacity_logits: rows.clone().map(|i| at(i, plane::OPACITY)).collect(),
-            harmonics: rows
-                .flat_map(|i| (plane::HARMONICS..self.planes).map(move |p| (i, p)))
-                .map(|(i, p)| at(i, p))
-                .collect(),
+            opacity_logits: rows.map(|i| at(i, plane::OPACITY)).collect(),
+            harmonics,
         }
     }
 
@@ -160,14 +167,14 @@ impl CpuCloud {
 
     fn gathered(&self, lines: &[Line], from: &[u32]) -> Vec<Line> {
         let mut out = vec![Line::ZERO; from.len().div_ceil(LANES) * self.planes];
-        for (group, parents) in out.chunks_exact_mut(self.planes).zip(from.chunks(LANES)) {
+        out.par_chunks_exact_mut(self.planes).zip(from.par_chunks(LANES)).for_each(|(group, parents)| {
             for (lane, &parent) in parents.iter().enumerate() {
                 let source = &lines[parent as usize / LANES * self.planes..][..self.planes];
                 for (to, from) in group.iter_mut().zip(source) {
                     to.0[lane] = from.0[parent as usize % LANES];
                 }
             }
-        }
+        });
         out
     }
 

@@ -6,23 +6,28 @@
 use pgsag_scene::numbers::SplitMix64;
 use rayon::prelude::*;
 
-use super::geometric::{Between, bilinear, footing};
+use super::geometric::{Between, bilinear};
 use super::view::{LossView, PATCH_HALF};
 use crate::equations::Scalar;
-use crate::equations::algebra::{Vec3, add, dot, mat_vec, scale, sub};
+use crate::equations::algebra::{Vec3, add, dot, each, mat_vec, scale, sub};
+use crate::equations::number::{Kernel, Pixels};
 use crate::equations::projection::{Lens, screen, screen_grad};
 
 /// Pixels along a side of a patch.
 const SIDE: usize = 2 * PATCH_HALF + 1;
 /// Samples of a patch.
 const SAMPLES: usize = SIDE * SIDE;
+/// Samples as kernels hold them: eight rows of eight, of which the last row and column are empty.
+const PADDED: usize = 64;
 /// Mean squared deviation of grey below which a patch is flat and says nothing: (a hundredth of full scale)².
 const FLAT: f64 = 1e-4;
 /// Loss beyond which a patch does not show the same thing. PGSR.
 const KEEP_BELOW: f64 = 0.9;
 /// Added to the product of variances. PGSR.
 const EPSILON: f64 = 1e-8;
-/// Patches a thread takes at a time, at least.
+/// Pixels a thread asks at a time, at least.
+const PIXELS_AT_ONCE: usize = 8192;
+/// Patches a thread takes at a time.
 const PATCHES_AT_ONCE: usize = 64;
 
 /// What the term looks at.
@@ -64,9 +69,8 @@ pub fn ncc<T: Scalar>(
     d_distance: &mut [T],
 ) -> (f64, usize) {
     let centers = draw(inputs);
-    let warp = Warp::new(inputs);
     let patches: Vec<Patch<T>> =
-        centers.into_par_iter().with_min_len(PATCHES_AT_ONCE).filter_map(|index| warp.patch(index as usize)).collect();
+        centers.par_chunks(PATCHES_AT_ONCE).flat_map_iter(|centers| T::widest(Compare { inputs, centers })).collect();
     let share = 1.0 / patches.len().max(1) as f64;
     let factor = T::from_f64(d_loss * share);
     let mut sum = 0.0;
@@ -83,7 +87,8 @@ pub fn ncc<T: Scalar>(
 /// Pixels whose patch lies in the mask: all of them, or one from each of `patch_limit` equal runs.
 fn draw<T: Scalar>(inputs: &NccInputs<'_, T>) -> Vec<u32> {
     let fits = |index: usize| inputs.weights[index] > T::zero() && inputs.view.patch_fits[index];
-    let all: Vec<u32> = (0..inputs.weights.len()).filter(|&index| fits(index)).map(|index| index as u32).collect();
+    let pixels = (0..inputs.weights.len()).into_par_iter().with_min_len(PIXELS_AT_ONCE);
+    let all: Vec<u32> = pixels.filter(|&index| fits(index)).map(|index| index as u32).collect();
     let (count, limit) = (all.len(), inputs.patch_limit);
     if count <= limit {
         return all;
@@ -97,31 +102,69 @@ fn draw<T: Scalar>(inputs: &NccInputs<'_, T>) -> Vec<u32> {
         .collect()
 }
 
+/// Some patches.
+struct Compare<'a, T> {
+    inputs: &'a NccInputs<'a, T>,
+    centers: &'a [u32],
+}
+
+impl<T: Scalar> Kernel<T> for Compare<'_, T> {
+    type Output = Vec<Patch<T>>;
+
+    #[inline(always)]
+    fn run<P: Pixels<T>>(self) -> Vec<Patch<T>> {
+        let warp = Warp::<T, P>::new(self.inputs);
+        let mut kept = Vec::with_capacity(self.centers.len());
+        for &index in self.centers {
+            kept.extend(warp.patch(index as usize));
+        }
+        kept
+    }
+}
+
 /// The homographies between two views.
-struct Warp<'a, T> {
+struct Warp<'a, T, P> {
     inputs: &'a NccInputs<'a, T>,
     own: Lens<T>,
-    other: Lens<T>,
-    between: Between<T>,
+    other: Lens<P>,
+    /// For single patches, and for their samples.
+    between: (Between<T>, Between<P>),
+    /// Column and row of each sample, and whether there is one (1 or 0).
+    across: [T; PADDED],
+    down: [T; PADDED],
+    filled: [T; PADDED],
 }
 
-/// Where the 49 samples fell in the neighbour, and what they read there.
+/// Where the samples of a patch fell in the neighbour, and what they read there.
 struct Samples<T> {
-    grey: [T; SAMPLES],
-    slope: [[T; 2]; SAMPLES],
-    point: [Vec3<T>; SAMPLES],
+    grey: [T; PADDED],
+    slope: [[T; PADDED]; 2],
+    point: [[T; PADDED]; 3],
 }
 
-impl<'a, T: Scalar> Warp<'a, T> {
+impl<'a, T: Scalar, P: Pixels<T>> Warp<'a, T, P> {
+    #[inline(always)]
     fn new(inputs: &'a NccInputs<'a, T>) -> Self {
-        let own = Lens::new(&inputs.view.camera);
-        let other = Lens::new(&inputs.neighbor.camera);
-        Self { inputs, own, other, between: Between::new(inputs.view, inputs.neighbor) }
+        let (mut across, mut down, mut filled) = ([T::zero(); PADDED], [T::zero(); PADDED], [T::zero(); PADDED]);
+        for i in 0..PADDED {
+            across[i] = T::from_f64((i % 8) as f64);
+            down[i] = T::from_f64((i / 8) as f64);
+            filled[i] = if i % 8 < SIDE && i / 8 < SIDE { T::one() } else { T::zero() };
+        }
+        Self {
+            inputs,
+            own: Lens::new(&inputs.view.camera),
+            other: Lens::new(&inputs.neighbor.camera),
+            between: (Between::new(inputs.view, inputs.neighbor), Between::new(inputs.view, inputs.neighbor)),
+            across,
+            down,
+            filled,
+        }
     }
 
     #[inline(always)]
     fn normal(&self, index: usize) -> Vec3<T> {
-        self.inputs.normal.map(|map| map[index])
+        each(|k| self.inputs.normal[k][index])
     }
 
     /// The ray of a patch's first pixel, three rows and columns before the centre.
@@ -133,15 +176,17 @@ impl<'a, T: Scalar> Warp<'a, T> {
 
     /// Reads the patch in the reference, less its mean.
     #[inline(always)]
-    fn own(&self, index: usize) -> [T; SAMPLES] {
+    fn own(&self, index: usize) -> [T; PADDED] {
         let view = self.inputs.view;
         let first = index - PATCH_HALF * (view.width + 1);
-        let mut own = [T::zero(); SAMPLES];
-        for (row, own) in own.chunks_exact_mut(SIDE).enumerate() {
+        let mut own = [T::zero(); PADDED];
+        for row in 0..SIDE {
             let grey = &view.gray[first + row * view.width..][..SIDE];
-            own.iter_mut().zip(grey).for_each(|(own, &grey)| *own = T::from_f32(grey));
+            for column in 0..SIDE {
+                own[row * 8 + column] = T::from_f32(grey[column]);
+            }
         }
-        center(&mut own);
+        self.center(&mut own);
         own
     }
 
@@ -150,31 +195,72 @@ impl<'a, T: Scalar> Warp<'a, T> {
     ///     y = A r − b (N · r) / D
     #[inline(always)]
     fn samples(&self, index: usize) -> Option<Samples<T>> {
-        let neighbor = self.inputs.neighbor;
         let (normal, inverse) = (self.normal(index), T::one() / self.inputs.distance[index]);
         let carried = |ray: Vec3<T>| {
             let k = dot(normal, ray) * inverse;
-            sub(mat_vec(&self.between.rotation, ray), scale(self.between.translation, k))
+            sub(mat_vec(&self.between.0.rotation, ray), scale(self.between.0.translation, k))
         };
-        let zero = T::zero();
+        let (zero, one) = (T::zero(), T::one());
         let start = carried(self.first_ray(index));
-        let column = carried([T::one() / self.own.focal[0], zero, zero]);
-        let row = carried([zero, T::one() / self.own.focal[1], zero]);
-        let mut samples = Samples { grey: [zero; SAMPLES], slope: [[zero; 2]; SAMPLES], point: [[zero; 3]; SAMPLES] };
-        for i in 0..SAMPLES {
-            let (across, down) = (T::from_f64((i % SIDE) as f64), T::from_f64((i / SIDE) as f64));
-            let point = std::array::from_fn(|axis| start[axis] + across * column[axis] + down * row[axis]);
-            if point[2] <= T::from_f64(1e-6) {
+        let column = carried([one / self.own.focal[0], zero, zero]);
+        let row = carried([zero, one / self.own.focal[1], zero]);
+        let wide = |v: Vec3<T>| -> Vec3<P> { each(|k| P::from_f64(v[k].to_f64())) };
+        let (start, column, row) = (wide(start), wide(column), wide(row));
+        let mut samples = Samples { grey: [zero; PADDED], slope: [[zero; PADDED]; 2], point: [[zero; PADDED]; 3] };
+        let half = P::from_f64(0.5);
+        for at in (0..PADDED).step_by(P::LEN) {
+            let (across, down) = (P::load(&self.across[at..]), P::load(&self.down[at..]));
+            let filled = P::zero().less(P::load(&self.filled[at..]));
+            let mut point: Vec3<P> = each(|k| down.times_plus(row[k], across.times_plus(column[k], start[k])));
+            let ahead = P::select(filled, point[2], P::one());
+            if P::any(ahead.less(P::from_f64(1e-6))) {
                 return None;
             }
-            let (tap, fraction) = footing(neighbor, screen(&self.other, point))?;
-            let below = tap + neighbor.width;
-            let corners = [tap, tap + 1, below, below + 1].map(|at| T::from_f32(neighbor.gray[at]));
-            (samples.grey[i], samples.slope[i]) = bilinear(corners, fraction);
-            samples.point[i] = point;
+            point[2] = ahead;
+            let [u, v] = screen(&self.other, point);
+            let (value, slope) = self.read(P::select(filled, u, half) - half, P::select(filled, v, half) - half)?;
+            value.store(&mut samples.grey[at..]);
+            for k in 0..2 {
+                slope[k].store(&mut samples.slope[k][at..]);
+            }
+            for k in 0..3 {
+                point[k].store(&mut samples.point[k][at..]);
+            }
         }
-        center(&mut samples.grey);
+        self.center(&mut samples.grey);
         Some(samples)
+    }
+
+    /// Grey of the neighbour and its slope at pixel centres' coordinates; `None` where one of them is off its mask.
+    /// (0, 0) stands for no sample.
+    #[inline(always)]
+    fn read(&self, x: P, y: P) -> Option<(P, [P; 2])> {
+        let view = self.inputs.neighbor;
+        let (right, bottom) = (P::from_f64((view.width - 1) as f64), P::from_f64((view.height - 1) as f64));
+        let least = x.min(y).min(right - x).min(bottom - y);
+        if P::any(least.less(P::zero())) {
+            return None;
+        }
+        let mut at = [[T::zero(); 16]; 2];
+        x.store(&mut at[0][..P::LEN]);
+        y.store(&mut at[1][..P::LEN]);
+        let (mut floor, mut corners) = ([[T::zero(); 16]; 2], [[T::zero(); 16]; 4]);
+        for lane in 0..P::LEN {
+            let (column, row) = (at[0][lane].to_f64() as usize, at[1][lane].to_f64() as usize);
+            let tap = row * view.width + column;
+            let none = at[0][lane] == T::zero() && at[1][lane] == T::zero();
+            if !none && !view.quad_fits.get(tap).is_some_and(|&fits| fits) {
+                return None;
+            }
+            let window = view.gray.get(tap..tap + view.width + 2)?;
+            floor[0][lane] = T::from_f64(column as f64);
+            floor[1][lane] = T::from_f64(row as f64);
+            for (corner, place) in corners.iter_mut().zip([0, 1, view.width, view.width + 1]) {
+                corner[lane] = T::from_f32(window[place]);
+            }
+        }
+        let fraction = [x - P::load(&floor[0][..P::LEN]), y - P::load(&floor[1][..P::LEN])];
+        Some(bilinear(each(|k| P::load(&corners[k][..P::LEN])), fraction))
     }
 
     #[inline(always)]
@@ -184,13 +270,13 @@ impl<'a, T: Scalar> Warp<'a, T> {
         }
         let flat = T::from_f64(FLAT * SAMPLES as f64);
         let reference = self.own(index);
-        let own = product(&reference, &reference);
+        let own = product::<T, P>(&reference, &reference);
         if own < flat {
             return None;
         }
         let samples = self.samples(index)?;
-        let other = product(&samples.grey, &samples.grey);
-        let cross = product(&reference, &samples.grey);
+        let other = product::<T, P>(&samples.grey, &samples.grey);
+        let cross = product::<T, P>(&reference, &samples.grey);
         if other < flat || cross <= T::zero() {
             return None;
         }
@@ -211,43 +297,46 @@ impl<'a, T: Scalar> Warp<'a, T> {
     /// ∂e/∂x_i = −(2 Σr̃x̃/P) r̃_i + (2 (Σr̃x̃)² Σr̃²/P²) x̃_i, through the bilinear slope and y to N:
     ///     s = −ĝy · b,   ĝN = Σ s r / D
     #[inline(always)]
-    fn differentiate(&self, index: usize, own: &[T; SAMPLES], samples: &Samples<T>, pull: [T; 2]) -> Vec3<T> {
+    fn differentiate(&self, index: usize, own: &[T; PADDED], samples: &Samples<T>, pull: [T; 2]) -> Vec3<T> {
         // Moments of s over the patch: rays are linear in column and row.
-        let mut moments = [T::zero(); 3];
-        for i in 0..SAMPLES {
-            let d_grey = pull[0] * own[i] + pull[1] * samples.grey[i];
-            let d_screen = samples.slope[i].map(|slope| slope * d_grey);
-            let d_point = screen_grad(&self.other, samples.point[i], d_screen);
-            let along = -dot(d_point, self.between.translation);
+        let mut moments = [P::zero(); 3];
+        let pull: [P; 2] = each(|k| P::from_f64(pull[k].to_f64()));
+        for at in (0..PADDED).step_by(P::LEN) {
+            let d_grey = pull[0] * P::load(&own[at..]) + pull[1] * P::load(&samples.grey[at..]);
+            let d_screen = each(|k| P::load(&samples.slope[k][at..]) * d_grey);
+            let point = each(|k| P::load(&samples.point[k][at..]));
+            let along = -dot(screen_grad(&self.other, point, d_screen), self.between.1.translation);
             moments[0] += along;
-            moments[1] += along * T::from_f64((i % SIDE) as f64);
-            moments[2] += along * T::from_f64((i / SIDE) as f64);
+            moments[1] += along * P::load(&self.across[at..]);
+            moments[2] += along * P::load(&self.down[at..]);
         }
+        let moments: [T; 3] = each(|k| T::from_f64(moments[k].total()));
         let first = scale(self.first_ray(index), moments[0]);
         let steps = [moments[1] / self.own.focal[0], moments[2] / self.own.focal[1], T::zero()];
         scale(add(first, steps), T::one() / self.inputs.distance[index])
     }
+
+    /// Takes the mean off the samples; where there is none, 0 remains.
+    #[inline(always)]
+    fn center(&self, values: &mut [T; PADDED]) {
+        let mut sum = P::zero();
+        for at in (0..PADDED).step_by(P::LEN) {
+            sum += P::load(&values[at..]) * P::load(&self.filled[at..]);
+        }
+        let mean = P::from_f64(sum.total() / SAMPLES as f64);
+        for at in (0..PADDED).step_by(P::LEN) {
+            ((P::load(&values[at..]) - mean) * P::load(&self.filled[at..])).store(&mut values[at..]);
+        }
+    }
 }
 
 #[inline(always)]
-fn product<T: Scalar>(a: &[T; SAMPLES], b: &[T; SAMPLES]) -> T {
-    let mut sum = T::zero();
-    for (a, b) in a.iter().zip(b) {
-        sum += *a * *b;
+fn product<T: Scalar, P: Pixels<T>>(a: &[T; PADDED], b: &[T; PADDED]) -> T {
+    let mut sum = P::zero();
+    for at in (0..PADDED).step_by(P::LEN) {
+        sum += P::load(&a[at..]) * P::load(&b[at..]);
     }
-    sum
-}
-
-#[inline(always)]
-fn center<T: Scalar>(values: &mut [T; SAMPLES]) {
-    let mut sum = T::zero();
-    for value in values.iter() {
-        sum += *value;
-    }
-    let mean = sum / T::from_f64(SAMPLES as f64);
-    for value in values.iter_mut() {
-        *value -= mean;
-    }
+    T::from_f64(sum.total())
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use crate::backend::{Backend, BackendError, Exposure, LossValues, LossWeights, OptimizerState, RenderOptions, Sample};
 use crate::backend::{DensityPlan, TrainingView, ViewCamera};
-use crate::cloud::SplatCloud;
+use crate::cloud::{SplatCloud, curve_order};
 use crate::train::checkpoint::{Checkpoint, fingerprint};
 use crate::train::density::{DensityInput, plan_density, plan_trim};
 use crate::train::exposure::Exposures;
@@ -92,6 +92,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         seed: u64,
     ) -> Result<Self> {
         let cameras: Vec<ViewCamera> = (0..views.len()).map(|i| views.camera(i)).collect();
+        let cloud = cloud.reordered(&curve_order(&cloud.means));
         let (scene_scale, gsd) = medians(&cloud, &cameras).ok_or(TrainError::Empty("no Gaussian lies in any view"))?;
         let checkpoint = Checkpoint {
             options: fingerprint(&options),
@@ -363,6 +364,11 @@ impl<'a, B: Backend> Trainer<'a, B> {
                     iteration,
                 };
                 plan = plan_density(&input, &self.options.density);
+            }
+            if densify {
+                // Births lie at the end, in the order of their parents: what is kept takes them in again.
+                let kept: Vec<[f32; 3]> = plan.keep.iter().map(|&i| state.cloud.means[i as usize]).collect();
+                plan.keep = curve_order(&kept).into_iter().map(|i| plan.keep[i as usize]).collect();
             }
             plan.opacity_ceiling = reset.then_some(self.options.density.reset_opacity);
             self.reshape(&plan)?;
