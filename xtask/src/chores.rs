@@ -14,6 +14,13 @@ pub(crate) fn town(root: &Path) -> Result<()> {
     Ok(())
 }
 
+pub(crate) fn corrupt_masks(root: &Path, folders: impl Iterator<Item = String>) -> Result<()> {
+    let folders: Vec<String> = folders.collect();
+    let mut words = vec!["run", "--release", "--locked", "-p", "pgsag", "--example", "masks", "--", "corrupt"];
+    words.extend(folders.iter().map(String::as_str));
+    shell(root, "cargo", &words)
+}
+
 pub(crate) fn release(root: &Path) -> Result<()> {
     let text =
         std::fs::read_to_string(root.join("CONTRIBUTING.md")).map_err(|cause| format!("CONTRIBUTING.md: {cause}"))?;

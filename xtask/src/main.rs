@@ -29,6 +29,7 @@ cargo x tidy       the house rules: arrows between rooms, file lengths, headers,
 cargo x ledger     docs/paper.md: every equation names a living function and a living test
 cargo x licences   every dependency's licence against the list in deny.toml
 cargo x bench      measure the CPU backend, append to benchmarks/results.json
+cargo x corrupt-masks MASKS OUT   masks made worse on purpose, always alike, to see what refinement mends
 cargo x town       reconstruct the demo town, print where its report lies
 cargo x release    the release checklist";
 
@@ -42,6 +43,7 @@ fn main() -> ExitCode {
         "ledger" => ledger::run(&root),
         "licences" => licences::run(&root),
         "bench" => bench::run(&root),
+        "corrupt-masks" => chores::corrupt_masks(&root, std::env::args().skip(2)),
         "town" => chores::town(&root),
         "release" => chores::release(&root),
         "" | "help" | "--help" | "-h" => {

@@ -1,9 +1,7 @@
 //! A group: what one worker needs, and nothing more.
 
-use pgsag_scene::{Mask, Scene};
+use pgsag_scene::Scene;
 use serde::{Deserialize, Serialize};
-
-use crate::vote::{Vote, VoteOptions};
 
 /// Names a group in folders and files: `g012`, `bg03`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -46,8 +44,8 @@ impl std::str::FromStr for GroupId {
     }
 }
 
-/// One view of a group: the window of its undistorted image that the group's mask touches.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// One view of a group: the window of its undistorted image that the group's mask touches, and how it sees the group.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GroupView {
     /// Index into `Scene::views`.
     pub view_index: u32,
@@ -55,6 +53,14 @@ pub struct GroupView {
     pub window_px: [u32; 4],
     /// Pixels that take part in the losses.
     pub active_count: u64,
+    /// Share of the group's points that the view sees, 0 to 1.
+    pub seen_share: f32,
+    /// Median ground sampling distance at those points, scene units per pixel.
+    pub gsd: f32,
+    /// Median angle between ray and surface normal at those points, degrees; 0 where no normals are known.
+    pub incidence_deg: f32,
+    /// Compass direction in which the view looks at the group, degrees in plan view; 0 where it looks straight down.
+    pub azimuth_deg: f32,
 }
 
 /// A unit of training.
@@ -66,41 +72,20 @@ pub struct Group {
     pub origin_world: [f64; 3],
     /// Views in which it is seen, in the scene's order.
     pub views: Vec<GroupView>,
-    /// Indices into `Scene::points`.
+    /// Views that see it but are kept out of training.
+    pub held_out: Vec<GroupView>,
+    /// Indices into `Scene::points`: first those of the core, then those of the halo.
     pub points: Vec<u32>,
+    /// How many of `points` are the core's.
+    pub core_count: usize,
 }
 
-/// The smallest window around the active pixels, widened by `margin_px` (SSIM's reach is 5, multi-view patches' 3);
-/// `None` where nothing is active.
-#[must_use]
-pub fn window_of(mask: &Mask, margin_px: u32) -> Option<[u32; 4]> {
-    let width = mask.width as usize;
-    let (mut left, mut right, mut top, mut bottom) = (mask.width, 0, mask.height, 0);
-    for (y, row) in mask.classes.chunks(width.max(1)).enumerate() {
-        let Some(first) = row.iter().position(|class| class.is_active()) else { continue };
-        let last = row.iter().rposition(|class| class.is_active()).unwrap_or(first);
-        left = left.min(first as u32);
-        right = right.max(last as u32 + 1);
-        top = top.min(y as u32);
-        bottom = y as u32 + 1;
+impl Group {
+    /// The points that the group owns.
+    #[must_use]
+    pub fn core(&self) -> &[u32] {
+        &self.points[..self.core_count]
     }
-    (right > left).then(|| {
-        let (x0, y0) = (left.saturating_sub(margin_px), top.saturating_sub(margin_px));
-        let (x1, y1) = ((right + margin_px).min(mask.width), (bottom + margin_px).min(mask.height));
-        [x0, y0, x1 - x0, y1 - y0]
-    })
-}
-
-/// Points of a building group: the reliable ones of the vote.
-#[must_use]
-pub fn building_points(votes: &[Vote], options: &VoteOptions) -> Vec<u32> {
-    (0u32..).zip(votes).filter(|(_, vote)| vote.is_reliable(options)).map(|(index, _)| index).collect()
-}
-
-/// Points of the background: all that the vote does not call building.
-#[must_use]
-pub fn background_points(votes: &[Vote], options: &VoteOptions) -> Vec<u32> {
-    (0u32..).zip(votes).filter(|(_, vote)| !vote.is_reliable(options)).map(|(index, _)| index).collect()
 }
 
 /// An origin for f32 work: the component-wise median of the points, or of the camera centres where there are none.
@@ -120,7 +105,6 @@ pub fn origin_of(scene: &Scene, points: &[u32]) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pgsag_scene::PixelClass;
 
     #[test]
     fn names_go_there_and_back() {
@@ -128,15 +112,5 @@ mod tests {
             assert_eq!(name.parse::<GroupId>().expect("a name").to_string(), name);
         }
         assert!("x1".parse::<GroupId>().is_err() && "g".parse::<GroupId>().is_err());
-    }
-
-    #[test]
-    fn window_is_the_box_of_active_pixels_with_margin() {
-        let mut mask = Mask::filled(30, 20, PixelClass::Free);
-        mask.classes[5 * 30 + 7] = PixelClass::Inside;
-        mask.classes[9 * 30 + 3] = PixelClass::Boundary;
-        assert_eq!(window_of(&mask, 0), Some([3, 5, 5, 5]));
-        assert_eq!(window_of(&mask, 4), Some([0, 1, 12, 13]));
-        assert_eq!(window_of(&Mask::filled(30, 20, PixelClass::Occluded), 4), None);
     }
 }

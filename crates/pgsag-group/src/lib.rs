@@ -1,13 +1,25 @@
 //! Which pixels and points are which building: the paper's section 4.1.
 //!
-//! `distance` measures from the mask's edge, `vote` scores the sparse points (Eq. 6-7), `refine` turns masks into four
-//! pixel classes, `group` says what one worker needs. Values in, values out: masks come through closures, one view at
-//! a time, so that no more than one full image is held.
+//! `distance` measures from the mask's edge, `surface` knows what hides what, `vote` scores the points (Eq. 6-7), `label`
+//! extends the reliable ones, `refine` turns masks into four pixel classes, `dbscan`, `cluster` and `blocks` divide the
+//! scene, `territory` says whose pixel is whose, `group` says what one worker needs. Values in, values out: masks come
+//! through closures, one view at a time, so that no more than one full image is held per thread.
 
+pub mod blocks;
+pub mod cluster;
+pub mod dbscan;
 pub mod distance;
+pub mod geometry;
+pub mod ground;
 pub mod group;
+pub mod label;
+pub mod plan;
 pub mod refine;
+pub mod superpixel;
+pub mod surface;
+pub mod territory;
 pub mod vote;
 
 pub use group::{Group, GroupId, GroupKind, GroupView};
+pub use label::Label;
 pub use vote::{Vote, VoteOptions};

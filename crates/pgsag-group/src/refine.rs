@@ -1,11 +1,18 @@
 //! Masks to the four pixel classes that training works with. Paper 4.1 (RBM and its boundary MB).
 //!
-//! The band where a mask's edge is uncertain is counted in pixels of mask error, not in shares of the image.
+//! The band where a mask's edge is uncertain is counted in pixels of mask error, not in shares of the image. Before that
+//! a mask is set right where the voted points contradict it: they are drawn into the image, take hold of superpixels, and
+//! overrule the mask where the contradiction is too wide to be an error of projection.
 
-use pgsag_scene::{Map, Mask, PixelClass};
+use std::collections::VecDeque;
+
+use pgsag_scene::{Image, Map, Mask, PixelClass};
 use serde::{Deserialize, Serialize};
 
 use crate::distance::signed_distance;
+use crate::label::Label;
+use crate::superpixel::superpixels;
+use crate::surface::{NO_POINT, Seen};
 
 /// How masks become classes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -15,11 +22,18 @@ pub struct RefineOptions {
     pub band_px: f32,
     /// How far a background mask reaches into the building, pixels, so that both surfaces overlap in fusion.
     pub overlap_px: f32,
+    /// Whether voted points correct the masks.
+    pub correct: bool,
+    /// Contradictions narrower than twice this are errors of projection and change nothing, pixels. At least one distance
+    /// between points counts.
+    pub min_change_px: f32,
+    /// Side of the superpixels, pixels.
+    pub superpixel_px: u32,
 }
 
 impl Default for RefineOptions {
     fn default() -> Self {
-        Self { band_px: 2.0, overlap_px: 4.0 }
+        Self { band_px: 2.0, overlap_px: 4.0, correct: true, min_change_px: 3.0, superpixel_px: 8 }
     }
 }
 
@@ -43,6 +57,130 @@ pub fn background_classes(building: &Map<bool>, options: &RefineOptions) -> Mask
         d if d > -options.overlap_px => PixelClass::Boundary,
         _ => PixelClass::Occluded,
     })
+}
+
+/// Least share of a superpixel's drawn pixels that must come from points which this very view has measured: what shows
+/// through a hole in a facade without points, the garden behind the house, was measured by others alone.
+const MIN_WITNESSED: f32 = 0.08;
+
+/// How the points of one view are drawn.
+#[derive(Clone, Copy)]
+pub struct Drawing<'a> {
+    /// The depth buffer.
+    pub seen: &'a Seen,
+    /// `[points]`.
+    pub labels: &'a [Label],
+    /// Whether this view has measured a point itself.
+    pub is_witnessed: &'a dyn Fn(u32) -> bool,
+    /// Share of a superpixel's points that must agree for the superpixel to take their label as a whole.
+    pub agreement: f32,
+}
+
+/// What the drawn points say of every pixel of the image: their labels, taken over whole superpixels where most of their
+/// points agree.
+#[must_use]
+pub fn drawn_labels(drawing: &Drawing<'_>, image: &Image, options: &RefineOptions) -> Map<Label> {
+    let Drawing { seen, labels, is_witnessed, agreement } = *drawing;
+    let label = |point: u32| if point == NO_POINT { Label::Unknown } else { labels[point as usize] };
+    let (width, height) = (seen.point.width, seen.point.height);
+    let small = Map { width, height, values: seen.point.values.iter().map(|point| label(*point)).collect() };
+    let mut drawn = small.resized_nearest(image.width, image.height);
+    let patches = superpixels(image, options.superpixel_px);
+    let witness = |point: &u32| *point != NO_POINT && is_witnessed(*point);
+    let witnessed = Map { width, height, values: seen.point.values.iter().map(witness).collect() };
+    let witnessed = witnessed.resized_nearest(image.width, image.height);
+    let mut counts = vec![[0f32; 4]; patches.count];
+    for ((patch, label), is_witnessed) in patches.label.values.iter().zip(&drawn.values).zip(&witnessed.values) {
+        counts[*patch as usize][*label as usize] += 1.0;
+        counts[*patch as usize][3] += f32::from(u8::from(*is_witnessed && *label != Label::Unknown));
+    }
+    for (patch, label) in patches.label.values.iter().zip(&mut drawn.values) {
+        let [unknown, background, building, witnessed] = counts[*patch as usize];
+        let known = background + building;
+        if witnessed < MIN_WITNESSED * known {
+            *label = Label::Unknown;
+        } else if known >= unknown && building.max(background) >= agreement * known {
+            *label = if building > background { Label::Building } else { Label::Background };
+        }
+    }
+    drawn
+}
+
+/// A given mask, overruled where what is drawn contradicts it over more than twice `reach_px`.
+#[must_use]
+pub fn corrected(given: &Map<bool>, drawn: &Map<Label>, reach_px: f32) -> Map<bool> {
+    let (width, height) = (given.width, given.height);
+    let contradicts = |(given, label): (&bool, &Label)| match label {
+        Label::Unknown => false,
+        Label::Background => *given,
+        Label::Building => !*given,
+    };
+    let differs =
+        Map { width, height, values: given.values.iter().zip(&drawn.values).map(contradicts).collect::<Vec<bool>>() };
+    let wide = signed_distance(&differs).values.into_iter().map(|d| d <= -reach_px).collect();
+    let wide = Map { width, height, values: wide };
+    let near = signed_distance(&wide);
+    let change = |at: usize| differs.values[at] && near.values[at] <= reach_px + 1.0;
+    Map { width, height, values: (0..given.values.len()).map(|at| given.values[at] != change(at)).collect() }
+}
+
+/// A mask from what is drawn alone: gaps take the label of the nearest drawn pixel, specks and holes of fewer than
+/// `min_area_px` pixels go.
+#[must_use]
+pub fn mask_of_labels(drawn: &Map<Label>, min_area_px: usize) -> Map<bool> {
+    let mut filled = drawn.clone();
+    let mut open: VecDeque<usize> =
+        (0..filled.values.len()).filter(|at| filled.values[*at] != Label::Unknown).collect();
+    while let Some(at) = open.pop_front() {
+        for other in beside(&filled, at) {
+            if filled.values[other] == Label::Unknown {
+                filled.values[other] = filled.values[at];
+                open.push_back(other);
+            }
+        }
+    }
+    let is_building = filled.values.iter().map(|label| *label == Label::Building).collect();
+    without_specks(Map { width: drawn.width, height: drawn.height, values: is_building }, min_area_px)
+}
+
+/// Turns connected patches of one value with fewer than `min_area_px` pixels into the other.
+fn without_specks(mut mask: Map<bool>, min_area_px: usize) -> Map<bool> {
+    let mut is_done = vec![false; mask.values.len()];
+    for start in 0..mask.values.len() {
+        if is_done[start] {
+            continue;
+        }
+        let value = mask.values[start];
+        let mut patch = vec![start];
+        is_done[start] = true;
+        let mut next = 0;
+        while next < patch.len() {
+            for other in beside(&mask, patch[next]) {
+                if mask.values[other] == value && !is_done[other] {
+                    is_done[other] = true;
+                    patch.push(other);
+                }
+            }
+            next += 1;
+        }
+        if patch.len() < min_area_px {
+            patch.into_iter().for_each(|at| mask.values[at] = !value);
+        }
+    }
+    mask
+}
+
+/// The pixels left, right, above and below.
+fn beside<T>(map: &Map<T>, at: usize) -> impl Iterator<Item = usize> + use<T> {
+    let (width, height) = (map.width as usize, map.height as usize);
+    let (x, y) = (at % width, at / width);
+    let found = [
+        (x > 0).then(|| at - 1),
+        (x + 1 < width).then(|| at + 1),
+        (y > 0).then(|| at - width),
+        (y + 1 < height).then(|| at + width),
+    ];
+    found.into_iter().flatten()
 }
 
 fn classes(building: &Map<bool>, class_at: impl Fn(f32) -> PixelClass) -> Mask {
@@ -82,6 +220,32 @@ mod tests {
         let active: Vec<_> = (0..20).map(|x| classes.at(x, 2).is_active()).collect();
         assert!(active[..14].iter().all(|a| *a));
         assert!(active[14..].iter().all(|a| !a));
+    }
+
+    #[test]
+    fn wide_contradictions_change_the_mask_and_narrow_ones_do_not() {
+        let mut given = Map::filled(60, 40, false);
+        let mut drawn = Map::filled(60, 40, Label::Background);
+        for y in 10..30 {
+            // Too large by twelve pixels on the right, a pixel short on the left.
+            (10..42).for_each(|x| given.set(x, y, true));
+            (9..30).for_each(|x| drawn.set(x, y, Label::Building));
+        }
+        (0..5).for_each(|x| drawn.set(x, 0, Label::Unknown));
+        let mask = corrected(&given, &drawn, 3.0);
+        let row: Vec<bool> = [9, 10, 29, 30, 41].iter().map(|x| mask.at(*x, 20)).collect();
+        assert_eq!(row, [false, true, true, false, false]);
+    }
+
+    #[test]
+    fn labels_alone_make_a_mask_without_specks() {
+        let mut drawn = Map::filled(30, 20, Label::Unknown);
+        drawn.set(2, 10, Label::Background);
+        (18..30).for_each(|x| drawn.set(x, 10, Label::Building));
+        drawn.set(25, 15, Label::Background);
+        drawn.set(26, 15, Label::Building);
+        let mask = mask_of_labels(&drawn, 20);
+        assert!(!mask.at(5, 10) && mask.at(20, 3) && mask.at(29, 12));
     }
 
     #[test]

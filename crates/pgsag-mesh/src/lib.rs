@@ -7,6 +7,7 @@
 pub mod components;
 pub mod error;
 pub mod fuse;
+pub mod identity;
 pub mod marching;
 pub mod merge;
 pub mod render;

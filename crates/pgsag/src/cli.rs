@@ -197,8 +197,8 @@ pub enum YesNo {
 /// Everything that is also a key of `--config`.
 #[derive(Clone, Debug, Default, Args)]
 pub struct SettingArgs {
-    /// Where building masks come from; default: SCENE/masks where it exists.
-    #[arg(long, value_name = "DIR|none")]
+    /// Where building masks come from; default: SCENE/masks where it exists, else geometry.
+    #[arg(long, value_name = "DIR|geometry|none")]
     pub masks: Option<String>,
     /// Which set of values to start from.
     #[arg(long, value_enum)]

@@ -151,20 +151,12 @@ fn existing(path: &Path, what: &str) -> Result<PathBuf> {
 /// Settings with absolute paths and checked words.
 fn checked(mut config: Config) -> Result<Config> {
     match config.masks.as_str() {
-        "auto" | "none" => {}
-        "geometry" => {
-            return Err(UserError::new(
-                "--masks geometry",
-                "masks by geometry are not part of this version",
-                "give a folder of masks, or --masks none",
-            )
-            .into());
-        }
+        "auto" | "none" | "geometry" => {}
         "language" => {
             return Err(UserError::new(
                 "--masks language",
                 "masks by language are not part of this version",
-                "give a folder of masks, or --masks none",
+                "give a folder of masks, --masks geometry, or --masks none",
             )
             .into());
         }

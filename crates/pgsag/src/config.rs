@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use pgsag_group::VoteOptions;
+use pgsag_group::blocks::BlockOptions;
+use pgsag_group::geometry::GeometryOptions;
 use pgsag_group::refine::RefineOptions;
 use pgsag_mesh::fuse::FilterOptions;
 use pgsag_mesh::score::ScoreOptions;
@@ -16,6 +18,7 @@ use pgsag_splat::train::{DepthOptions, InitialiseOptions, NeighborOptions, Train
 use crate::error::UserError;
 use crate::run::settings::Settings;
 use crate::stages::coarse::CoarseOptions;
+use crate::stages::group::GroupingOptions;
 use crate::stages::merge::BuildingOptions;
 use crate::stages::mesh::SurfaceOptions;
 
@@ -37,7 +40,8 @@ pub enum Preset {
     Paper,
 }
 
-/// Everything that can be set. The first part does not change any answer.
+/// Everything that can be set. The first part does not change any answer, but that a given memory limit says how large
+/// a group may be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
@@ -77,10 +81,16 @@ pub struct Config {
 
     /// Points on everything, to begin from.
     pub coarse: CoarseOptions,
+    /// Masks from the shape of the scene.
+    pub geometry: GeometryOptions,
     /// Votes of the views on points.
     pub vote: VoteOptions,
     /// Masks to pixel classes.
     pub refine: RefineOptions,
+    /// Buildings to groups.
+    pub groups: GroupingOptions,
+    /// Background to blocks.
+    pub blocks: BlockOptions,
     /// The first Gaussians.
     pub initialise: InitialiseOptions,
     /// Which views are compared.
@@ -119,8 +129,11 @@ impl Default for Config {
             aoi: String::new(),
             truth: String::new(),
             coarse: CoarseOptions::default(),
+            geometry: GeometryOptions::default(),
             vote: VoteOptions::default(),
             refine: RefineOptions::default(),
+            groups: GroupingOptions::default(),
+            blocks: BlockOptions::default(),
             initialise: InitialiseOptions::default(),
             neighbors: NeighborOptions::default(),
             train: TrainOptions::default(),

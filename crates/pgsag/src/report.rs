@@ -1,12 +1,14 @@
 //! The report: one offline page of numbers, pictures, curves, warnings and the switches in force.
 
 use anyhow::{Context as _, Result};
+use pgsag_group::{Group, GroupView, Vote};
 use pgsag_mesh::score::Score;
 use serde_json::{Value, json};
 
 use crate::config::keys::{shown, unit};
 use crate::config::{Config, Preset, size_text};
 use crate::run::Run;
+use crate::run::artifact::files_below;
 use crate::run::manifest::Manifest;
 use crate::run::stage::{Job, Per};
 use crate::stages::import::Imported;
@@ -17,6 +19,7 @@ pub mod curves;
 pub mod footprints;
 pub mod glb;
 pub mod pictures;
+pub mod votes;
 
 const TEMPLATE: &str = include_str!("report/template.html");
 
@@ -24,8 +27,6 @@ const TEMPLATE: &str = include_str!("report/template.html");
 pub struct Content<'a> {
     /// The scene.
     pub imported: &'a Imported,
-    /// Names of the groups.
-    pub groups: &'a [String],
     /// Its buildings.
     pub buildings: &'a [Building],
     /// Whether masks told buildings apart.
@@ -36,6 +37,10 @@ pub struct Content<'a> {
     pub shown: Vec<pictures::Shown>,
     /// Where there was a truth.
     pub score: Option<Score>,
+    /// What the views said of the points; empty without masks.
+    pub votes: Vec<Vote>,
+    /// The groups themselves.
+    pub grouped: &'a [Group],
 }
 
 /// The page as text.
@@ -46,7 +51,7 @@ pub fn page(job: &Job<'_>, config: &Config, content: &Content<'_>) -> Result<Str
     let mut environment = minijinja::Environment::new();
     environment.add_template("report.html", TEMPLATE).context("the report's template")?;
     let template = environment.get_template("report.html").context("the report's template")?;
-    let groups = content.groups.iter().map(|name| group(job, name)).collect::<Result<Vec<_>>>()?;
+    let groups = content.grouped.iter().map(|one| group(job, one)).collect::<Result<Vec<_>>>()?;
     let (jobs, warnings) = jobs(job.run)?;
     let frame = &content.imported.scene.frame;
     let settings = config.settings();
@@ -63,13 +68,15 @@ pub fn page(job: &Job<'_>, config: &Config, content: &Content<'_>) -> Result<Str
         "point_count": content.imported.scene.points.len(), "frame": frame.source,
         "scale_known": frame.metres_per_unit.is_some(), "masked": content.masked,
         "face_count": content.face_count, "groups": groups, "buildings": content.buildings,
+        "votes": votes::distribution(&content.votes, &config.vote),
         "shown": content.shown, "score": content.score, "jobs": jobs, "warnings": warnings, "settings": rows,
     });
     template.render(minijinja::value::Serde(&context)).context("the report")
 }
 
 /// A group with its curves and what images that were kept out say of it.
-fn group(job: &Job<'_>, name: &str) -> Result<Value> {
+fn group(job: &Job<'_>, of: &Group) -> Result<Value> {
+    let name = &of.id.to_string();
     let summary = Trained::summary_of(&job.input("train").join(name))?;
     let log = std::fs::read_to_string(job.run.log_path("train", name)).unwrap_or_default();
     let curves: Vec<Value> = curves::curves(&log)
@@ -82,10 +89,19 @@ fn group(job: &Job<'_>, name: &str) -> Result<Value> {
     };
     let (psnr, ssim) = (mean(|image| image.psnr), mean(|image| image.ssim));
     Ok(json!({
-        "name": name, "gaussians": summary.gaussians, "iterations": summary.iterations, "curves": curves,
+        "name": name, "views": of.views.len(), "points": of.core_count, "halo": of.points.len() - of.core_count,
+        "seen": format!("{:.0}", 100.0 * median_of(of, |view| view.seen_share)),
+        "incidence": format!("{:.0}", median_of(of, |view| view.incidence_deg)),
+        "gaussians": summary.gaussians, "iterations": summary.iterations, "curves": curves,
         "held_out": held_out.len(), "psnr": psnr.map(|value| format!("{value:.2}")),
         "ssim": ssim.map(|value| format!("{value:.4}")),
     }))
+}
+
+/// The middle of what a group's views say.
+fn median_of(group: &Group, of: fn(&GroupView) -> f32) -> f64 {
+    let mut values: Vec<f64> = group.views.iter().map(|view| f64::from(of(view))).collect();
+    pgsag_scene::numbers::median(&mut values).unwrap_or(0.0)
 }
 
 /// Cost of every finished job, and every warning with where it came from.
@@ -96,6 +112,18 @@ fn jobs(run: &Run) -> Result<(Vec<Value>, Vec<Value>)> {
             Per::Whole => vec![crate::run::stage::WHOLE.to_owned()],
             _ => run.finished_jobs(stage.name).unwrap_or_default(),
         };
+        if stage.per == Per::Group {
+            // Groups that failed twice left only their last words.
+            let prefix = format!("{}.", stage.name);
+            for file in files_below(&run.folder.join("log")).unwrap_or_default() {
+                let job = file.strip_prefix(&prefix).and_then(|rest| rest.strip_suffix(".failed"));
+                if let Some(job) = job.filter(|job| !names.contains(&(*job).to_owned())) {
+                    let words = std::fs::read_to_string(run.failure_path(stage.name, job)).unwrap_or_default();
+                    let text = format!("failed twice and is missing: {words}");
+                    warnings.push(json!({"stage": stage.name, "job": job, "text": text}));
+                }
+            }
+        }
         for name in names {
             // The report itself is not finished yet.
             let Ok(manifest) = Manifest::read(&run.job_folder(stage, &name)) else { continue };

@@ -31,6 +31,15 @@ fn scene(with_tracks: bool) -> Scene {
     scene
 }
 
+fn counted(
+    scene: &Scene,
+    mask_of: impl Fn(usize) -> Result<Option<Map<bool>>, ()> + Sync,
+    options: &VoteOptions,
+) -> Vec<Vote> {
+    let surface = Surface::new(scene.points.iter().map(|point| point.position_world).collect());
+    vote(scene, &surface, mask_of, options).expect("no error")
+}
+
 /// Building = the left half of the image.
 fn left_half() -> Map<bool> {
     let mut mask = Map::filled(100, 80, false);
@@ -45,7 +54,7 @@ fn left_half() -> Map<bool> {
 #[test]
 fn tracks_vote_and_unknown_masks_abstain() {
     let masks = [Some(left_half()), None, Some(left_half())];
-    let votes = vote::<()>(&scene(true), |i| Ok(masks[i].clone()), &VoteOptions::default()).expect("no error");
+    let votes = counted(&scene(true), |i| Ok(masks[i].clone()), &VoteOptions::default());
     assert_eq!(votes[0], Vote { inside: 2, outside: 0 });
     assert_eq!(votes[1], Vote { inside: 0, outside: 2 });
     assert!(votes[0].is_reliable(&VoteOptions::default()) && !votes[1].is_reliable(&VoteOptions::default()));
@@ -53,7 +62,7 @@ fn tracks_vote_and_unknown_masks_abstain() {
 
 #[test]
 fn hidden_point_does_not_vote_without_tracks() {
-    let votes = vote::<()>(&scene(false), |_| Ok(Some(left_half())), &VoteOptions::default()).expect("no error");
+    let votes = counted(&scene(false), |_| Ok(Some(left_half())), &VoteOptions::default());
     assert_eq!(votes[0].inside, 3);
     assert!(votes[2].inside < 3, "the view straight behind the near point must not see the far one");
 }
@@ -64,7 +73,7 @@ fn edge_of_the_mask_abstains() {
     for seen in &mut scene.points[1].track {
         seen.xy_px = [51.0, 40.0];
     }
-    let votes = vote::<()>(&scene, |_| Ok(Some(left_half())), &VoteOptions::default()).expect("no error");
+    let votes = counted(&scene, |_| Ok(Some(left_half())), &VoteOptions::default());
     assert_eq!(votes[1], Vote::default());
 }
 
@@ -84,7 +93,7 @@ fn mask_of_another_size_is_scaled() {
             small.set(x, y, true);
         }
     }
-    let votes = vote::<()>(&scene(true), |_| Ok(Some(small.clone())), &VoteOptions::default()).expect("no error");
+    let votes = counted(&scene(true), |_| Ok(Some(small.clone())), &VoteOptions::default());
     assert_eq!(votes[0].inside, 3);
     assert_eq!(votes[1].outside, 3);
 }

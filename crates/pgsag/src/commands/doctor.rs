@@ -60,7 +60,7 @@ pub(super) fn run(args: &DoctorArgs, json: bool) -> Result<()> {
     let folder = existing(&args.scene, "the scene")?;
     let mut scene = open_scene(&folder)?;
     match args.masks.as_deref() {
-        None => {}
+        None | Some("geometry") => {}
         Some("none") => scene.mask_paths = vec![None; scene.scene.views.len()],
         Some(masks) => scene.attach_masks(Path::new(masks))?,
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 use serde_json::json;
 
 use super::{cancel_on_signals, checked, existing, limits, open_run, print, progress, store_settings, stored_settings};
@@ -26,10 +26,13 @@ pub(super) fn run(args: &ReconstructArgs, json: bool) -> Result<()> {
     let result = args.output.join("result");
     if json {
         return print(
-            &json!({"event": "finished", "ran": summary.ran, "kept": summary.kept, "result": result,
+            &json!({"event": "finished", "ran": summary.ran, "kept": summary.kept, "lost": summary.lost, "result": result,
                 "measured": {"seconds": started.elapsed().as_secs_f64()}})
             .to_string(),
         );
+    }
+    if !summary.lost.is_empty() {
+        bail!("{}; everything else is in {}", summary.lost.join("; "), result.display());
     }
     if summary.ran == 0 {
         print("everything was finished already")?;

@@ -1,12 +1,10 @@
 //! Pictures of a few views: the photograph, what the Gaussians show, normals, depth, and the mesh from the same place.
 
-use std::path::PathBuf;
-
 use anyhow::Result;
 use pgsag_group::{Group, GroupView};
 use pgsag_mesh::render::{Paint, render};
 use pgsag_scene::files::raster::encode_jpeg;
-use pgsag_scene::{Image, Map, Mask, Mesh, Pinhole};
+use pgsag_scene::{Image, Map, Mask, Mesh, Pinhole, PixelClass};
 use pgsag_splat::backend::{Backend, OptimizerState};
 use pgsag_splat::train::render_depth;
 use serde::Serialize;
@@ -15,8 +13,8 @@ use crate::config::Config;
 use crate::engine;
 use crate::photographs::{Photographs, training_camera};
 use crate::run::stage::Job;
+use crate::stages::group::share_of;
 use crate::stages::import::Imported;
-use crate::stages::refine::classes_of;
 use crate::stages::train::Trained;
 use crate::stages::view_camera;
 
@@ -137,12 +135,16 @@ impl engine::Work for Draw<'_, '_> {
 impl Draw<'_, '_> {
     /// The group's classes at the size of the picture.
     fn mask(&self, group: &Group, seen: &GroupView, camera: &Pinhole) -> Result<Option<Mask>> {
-        let folder: PathBuf = self.job.input("refine");
-        let Some(mask) = classes_of(&folder, seen.view_index as usize, group.id.kind)? else { return Ok(None) };
+        let Some(share) = share_of(&self.job.input("group"), &group.id.to_string(), seen)? else { return Ok(None) };
         let full =
             training_camera(&self.imported.scene.views[seen.view_index as usize].camera, self.config.image_width);
-        debug_assert_eq!((mask.width, mask.height), (full.width, full.height));
-        let classes = Map { width: mask.width, height: mask.height, values: mask.classes };
+        let mut classes = Map::filled(full.width, full.height, PixelClass::Occluded);
+        let [x0, y0, width, height] = seen.window_px;
+        for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+            if !share.halo.at(x, y) {
+                classes.set(x0 + x, y0 + y, share.mask.at(x, y));
+            }
+        }
         let resized = classes.resized_nearest(camera.width, camera.height);
         Ok(Some(Mask { width: resized.width, height: resized.height, classes: resized.values }))
     }

@@ -131,12 +131,14 @@ fn end_of_child(code: Option<i32>, words: &str, stage: &str, job: &str) -> Resul
 }
 
 /// What a run did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
     /// Jobs that ran.
     pub ran: usize,
     /// Jobs that were finished already.
     pub kept: usize,
+    /// Groups that failed twice and are missing from the result: stage, job and why.
+    pub lost: Vec<String>,
 }
 
 impl Run {
@@ -166,8 +168,17 @@ impl Run {
                 orders.iter().filter(|order| matches!(order.decision, Decision::Run(_))).collect();
             summary.kept += orders.len() - pending.len();
             summary.ran += pending.len();
-            self.run_jobs(stage, pending, limits, launcher, cancel, progress)?;
-            self.record(stage, &orders)?;
+            let lost = self.run_jobs(stage, pending, limits, launcher, cancel, progress)?;
+            let is_lost = |order: &Order| lost.iter().any(|(name, _)| *name == order.plan.name);
+            let left: Vec<Order> = orders.into_iter().filter(|order| !is_lost(order)).collect();
+            for (job, error) in lost {
+                if left.is_empty() {
+                    return Err(error);
+                }
+                progress.warning(stage.name, &job, "failed twice and is missing from the result");
+                summary.lost.push(format!("{} {job}: {error:#}", stage.name));
+            }
+            self.record(stage, &left)?;
             if let Some(mirror) = stage.publishes {
                 self.mirror(stage, mirror)?;
             }
@@ -178,6 +189,8 @@ impl Run {
         Ok(summary)
     }
 
+    /// Runs jobs in slots. Of a stage of groups one that fails is tried once more; if it fails again, it is handed back
+    /// with the reason and the rest goes on. Bad input fails the whole.
     fn run_jobs(
         &self,
         stage: &'static Stage,
@@ -186,7 +199,7 @@ impl Run {
         launcher: &dyn Launcher,
         cancel: &Cancel,
         progress: &Arc<dyn Progress>,
-    ) -> Result<()> {
+    ) -> Result<Vec<(String, anyhow::Error)>> {
         pending.sort_by(|a, b| {
             b.plan.cost.cpu_secs.total_cmp(&a.plan.cost.cpu_secs).then_with(|| a.plan.name.cmp(&b.plan.name))
         });
@@ -199,9 +212,10 @@ impl Run {
             memory_bytes: (limits.memory_bytes / slots as u64).max(order.plan.cost.memory_bytes),
             threads: (limits.threads / slots).max(1),
         };
-        let (sender, receiver) = mpsc::channel::<(u64, Result<()>)>();
+        let (sender, receiver) = mpsc::channel::<(&Order, Result<()>)>();
         let (mut running, mut held) = (0, 0_u64);
         let mut failure: Option<anyhow::Error> = None;
+        let (mut tried, mut lost): (Vec<&str>, Vec<(String, anyhow::Error)>) = (Vec::new(), Vec::new());
         std::thread::scope(|scope| {
             loop {
                 while running < slots && !cancel.is_requested() {
@@ -209,26 +223,37 @@ impl Run {
                         |order: &&Order| running == 0 || held + order.plan.cost.memory_bytes <= limits.memory_bytes;
                     let Some(next) = pending.iter().position(fits) else { break };
                     let order = pending.remove(next);
-                    let memory = order.plan.cost.memory_bytes;
-                    (running, held) = (running + 1, held + memory);
+                    (running, held) = (running + 1, held + order.plan.cost.memory_bytes);
                     let (sender, share) = (sender.clone(), share(order));
                     scope.spawn(move || {
                         let outcome = self.watched(stage, order, share, launcher, progress);
                         // The receiver lives as long as this scope.
-                        let _ = sender.send((memory, outcome));
+                        let _ = sender.send((order, outcome));
                     });
                 }
                 if running == 0 {
                     break;
                 }
-                let Ok((memory, outcome)) = receiver.recv() else { break };
-                (running, held) = (running - 1, held - memory);
-                if let Err(error) = outcome {
+                let Ok((order, outcome)) = receiver.recv() else { break };
+                (running, held) = (running - 1, held - order.plan.cost.memory_bytes);
+                let Err(error) = outcome else { continue };
+                let may_go_on = stage.per == Per::Group && exit_code(&error) == 1;
+                if may_go_on && !tried.contains(&order.plan.name.as_str()) {
+                    progress.note(stage.name, &order.plan.name, &format!("is tried once more: {error:#}"));
+                    tried.push(&order.plan.name);
+                    pending.push(order);
+                } else if may_go_on {
+                    lost.push((order.plan.name.clone(), error));
+                } else {
                     failure.get_or_insert(error);
                 }
             }
         });
-        failure.map_or_else(|| cancel.check().map_err(Into::into), Err)
+        if let Some(error) = failure {
+            return Err(error);
+        }
+        cancel.check()?;
+        Ok(lost)
     }
 
     fn watched(

@@ -137,9 +137,9 @@ fn published(folder: &Path) -> String {
 fn a_finished_run_does_nothing_again() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let run = run(folder.path(), json!({"numbers": "2 3", "power": 2}));
-    assert_eq!(execute(&run).expect("runs"), Summary { ran: 4, kept: 0 });
+    assert_eq!(execute(&run).expect("runs"), Summary { ran: 4, ..Summary::default() });
     assert_eq!(published(folder.path()), "650");
-    assert_eq!(execute(&run).expect("runs"), Summary { ran: 0, kept: 4 });
+    assert_eq!(execute(&run).expect("runs"), Summary { kept: 4, ..Summary::default() });
     let manifest = Manifest::read(&run.job_folder(&TABLE[2], "all")).expect("there");
     assert_eq!(manifest.warnings, ["toy"]);
     assert!(run.folders_beginning(".").is_empty(), "no leftovers");
@@ -155,7 +155,7 @@ fn only_what_reads_a_changed_setting_runs_and_the_plan_says_why() {
     let why = Reason::Setting { key: "power".into(), old: "2".into(), new: "1".into() };
     assert_eq!(orders[0].decision, Decision::Run(vec![why]));
     assert_eq!(plan[2].1, StagePlan::After("power"));
-    assert_eq!(execute(&changed).expect("runs"), Summary { ran: 3, kept: 1 });
+    assert_eq!(execute(&changed).expect("runs"), Summary { ran: 3, kept: 1, ..Summary::default() });
     assert_eq!(published(folder.path()), "250");
 }
 
@@ -164,7 +164,7 @@ fn a_job_reads_only_its_part_and_a_vanished_job_leaves_no_folder() {
     let folder = tempfile::tempdir().expect("temporary folder");
     execute(&run(folder.path(), json!({"numbers": "2 3 4", "power": 2}))).expect("runs");
     let fewer = run(folder.path(), json!({"numbers": "2 4", "power": 2}));
-    assert_eq!(execute(&fewer).expect("runs"), Summary { ran: 2, kept: 2 }, "list and sum");
+    assert_eq!(execute(&fewer).expect("runs"), Summary { ran: 2, kept: 2, ..Summary::default() }, "list and sum");
     assert!(!folder.path().join("02-power/3").exists());
     assert_eq!(published(folder.path()), "1000");
 }
@@ -181,7 +181,7 @@ fn a_stopped_job_goes_on_from_its_checkpoint_with_the_same_answer() {
     let orders = resumed.orders(&TABLE[1]).expect("orders");
     let found = artifact::Checkpoint::newest(&attempts, &orders[0].identity.key()).expect("saved");
     assert_eq!(found.step, 21);
-    assert_eq!(execute(&resumed).expect("runs"), Summary { ran: 2, kept: 1 });
+    assert_eq!(execute(&resumed).expect("runs"), Summary { ran: 2, kept: 1, ..Summary::default() });
     assert_eq!(published(folder.path()), "450");
     assert!(resumed.attempts("power", "3").is_empty());
 }
@@ -193,7 +193,7 @@ fn a_complete_attempt_of_a_killed_process_is_adopted() {
     execute(&run).expect("runs");
     let partial = folder.path().join(format!(".02-power.3.partial.{}-1-0", machine::host()));
     fs::rename(folder.path().join("02-power/3"), &partial).expect("moved");
-    assert_eq!(execute(&run).expect("runs"), Summary { ran: 0, kept: 4 });
+    assert_eq!(execute(&run).expect("runs"), Summary { kept: 4, ..Summary::default() });
     assert!(folder.path().join("02-power/3/power.txt").exists() && !partial.exists());
 }
 
@@ -206,7 +206,7 @@ fn damage_is_noticed_and_mended() {
     fs::remove_file(folder.path().join("out/sum.txt")).expect("removed");
     let orders = run.orders(&TABLE[1]).expect("orders");
     assert!(matches!(&orders[0].decision, Decision::Run(reasons) if matches!(reasons[..], [Reason::Damaged(_)])));
-    assert_eq!(execute(&run).expect("runs"), Summary { ran: 1, kept: 3 });
+    assert_eq!(execute(&run).expect("runs"), Summary { ran: 1, kept: 3, ..Summary::default() });
     assert_eq!(published(folder.path()), "650");
 }
 
@@ -220,6 +220,32 @@ fn one_failing_job_lets_the_others_finish() {
     let lines = failing.status().expect("status");
     let failed = lines.iter().find(|line| line.job == "4").expect("listed");
     assert_eq!(failed.state, status::State::Failed { error: "toy: cannot be done; take another number".into() });
+}
+
+#[test]
+fn a_group_that_fails_twice_is_reported_and_the_rest_goes_on() {
+    struct Breaking(AtomicUsize);
+    impl Launcher for Breaking {
+        fn launch(&self, run: &Run, stage: &'static Stage, order: &Order, share: Limits) -> Result<()> {
+            if order.plan.name == "3" {
+                self.0.fetch_add(1, Ordering::SeqCst);
+                anyhow::bail!("no luck");
+            }
+            let here = InProcess { cancel: Cancel::default(), progress: Arc::new(Silent) };
+            here.launch(run, stage, order, share)
+        }
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let run = run(folder.path(), json!({"numbers": "2 3", "power": 2}));
+    let (launcher, cancel) = (Breaking(AtomicUsize::new(0)), Cancel::default());
+    let progress: Arc<dyn Progress> = Arc::new(Silent);
+    let summary = run.execute(None, LIMITS, &launcher, &cancel, &progress).expect("goes on");
+    assert_eq!(launcher.0.load(Ordering::SeqCst), 2, "once more and no further");
+    assert!(summary.lost.len() == 1 && summary.lost[0].contains("power 3"), "{:?}", summary.lost);
+    assert_eq!(published(folder.path()), "200", "fifty times two squared");
+    let again = execute(&run).expect("runs");
+    assert!(again.lost.is_empty());
+    assert_eq!(published(folder.path()), "650");
 }
 
 #[test]

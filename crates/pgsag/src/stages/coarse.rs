@@ -62,6 +62,13 @@ impl Coarse {
         }
     }
 
+    /// Whether a view has measured a point itself; so where nobody knows who did.
+    #[must_use]
+    pub fn is_measured_by(&self, index: usize, view: usize) -> bool {
+        let track = &self.points[index].track;
+        track.is_empty() || track.iter().any(|seen| seen.view_index as usize == view)
+    }
+
     /// The scene with these points in place of the sparse ones.
     #[must_use]
     pub fn scene(self, imported: Imported) -> Scene {

@@ -63,7 +63,9 @@ pub(crate) fn write_depth(folder: &Path, view_index: usize, depth: &Map<f32>, we
 
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let folder = run.stage_folder("group");
-    let names = group_names(&folder)?;
+    // A group that could not be trained is missing, and the rest goes on.
+    let trained = run.finished_jobs("train")?;
+    let names = group_names(&folder)?.into_iter().filter(|name| trained.contains(name));
     let plan = |name: String| -> Result<JobPlan> {
         let group = group_of(&folder, &name)?;
         let window = |view: &GroupView| u64::from(view.window_px[2]) * u64::from(view.window_px[3]);
@@ -77,10 +79,10 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
             cpu_secs: all as f64 * 0.5e-6 + 1.0,
         };
         let part = Some(name.clone());
-        let inputs = vec![("import", None), ("refine", None), ("group", part.clone()), ("train", part)];
+        let inputs = vec![("import", None), ("group", part.clone()), ("train", part)];
         Ok(JobPlan { name, inputs, cost })
     };
-    names.into_iter().map(plan).collect()
+    names.map(plan).collect()
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
@@ -115,7 +117,7 @@ impl engine::Work for Render<'_, '_> {
             self.job.check()?;
             let index = view.view_index as usize;
             let camera = self.views.camera_of(index, view.window_px);
-            let mask = self.views.mask_of(index, view.window_px)?;
+            let mask = self.views.mask_of(view)?;
             let maps = render_depth(backend, &on_device, &camera, None, self.trained.summary.sh_degree)?;
             let valid = valid_depth(&maps, &camera, mask.as_ref(), &self.config.depth);
             let sure = valid.depth.values.iter().zip(&maps.opacity.values);

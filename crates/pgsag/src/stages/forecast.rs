@@ -5,6 +5,8 @@ use pgsag_scene::Scene;
 use pgsag_splat::train::density::bytes_per_gaussian;
 
 use super::coarse::stereo_camera;
+use super::group::budget;
+use super::train::{BYTES_PER_PIXEL, MAX_GROWTH, MAX_GROWTH_FLOOR};
 use crate::config::Config;
 use crate::photographs::training_camera;
 use crate::run::stage::Cost;
@@ -22,6 +24,8 @@ pub struct Forecast {
     matched: u64,
     points: u64,
     gaussians: u64,
+    /// Of the largest group: clusters that do not fit into memory are cut.
+    largest_group: u64,
     gaussian_bytes: u64,
     iterations: u64,
 }
@@ -45,16 +49,19 @@ impl Forecast {
         let by_stereo = ((views * pixels / OVERLAP) as f64 / (cell * cell)) as u64;
         let points = if config.coarse.stereo { by_stereo.max(sparse) } else { sparse };
         let gaussians = (8 * points + 20_000).min(config.train.density.max_gaussians as u64);
+        let group_points =
+            if config.masks == "none" { points } else { budget(scene, config).map_or(points, |most| most as u64) };
+        let largest_group = gaussians.min(MAX_GROWTH as u64 * group_points + MAX_GROWTH_FLOOR as u64);
         let gaussian_bytes = bytes_per_gaussian(config.initialise.sh_degree);
         let iterations = u64::from(config.train.iterations);
-        Self { views, pixels, matched, points, gaussians, gaussian_bytes, iterations }
+        Self { views, pixels, matched, points, gaussians, largest_group, gaussian_bytes, iterations }
     }
 
     /// Of one stage, all its jobs together but for memory, which is that of its largest job; `None` for stages whose
     /// needs are small.
     #[must_use]
     pub fn cost(&self, stage: &str) -> Option<Cost> {
-        let Self { views, pixels, matched, points, gaussians, gaussian_bytes, iterations } = *self;
+        let Self { views, pixels, matched, points, gaussians, largest_group, gaussian_bytes, iterations } = *self;
         let all = views * pixels;
         let (memory_bytes, disk_bytes, cpu_secs) = match stage {
             "coarse" => {
@@ -63,9 +70,10 @@ impl Forecast {
             "masks" | "refine" => (64 * pixels, all / 30, 100e-9 * all as f64),
             "train" => {
                 let step = pixels as f64 * 1.2e-6 + gaussians as f64 * 0.1e-6;
-                (gaussians * gaussian_bytes + 400 * pixels, 180 * gaussians / 4, iterations as f64 * step)
+                let held = largest_group * gaussian_bytes + BYTES_PER_PIXEL * pixels;
+                (held + held * 2 / 3, 180 * gaussians / 4, iterations as f64 * step)
             }
-            "depth" => (200 * gaussians + 200 * pixels, 8 * all, 1.5e-6 * all as f64),
+            "depth" => (200 * largest_group + 200 * pixels, 8 * all, 1.5e-6 * all as f64),
             "fuse" => (160 * pixels, 9 * all, 60e-9 * all as f64),
             "mesh" => (80 * pixels + (1 << 30), 30 * all / OVERLAP, 2e-6 * all as f64),
             "merge" | "report" => (300 * all / OVERLAP, 60 * all / OVERLAP, 1e-6 * (all / OVERLAP) as f64),

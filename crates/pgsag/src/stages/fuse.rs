@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::depth::{read_depth, write_depth};
-use super::group::{Extent, Groups};
+use super::group::{Extent, Groups, finished_groups, share_of};
 use super::import::Imported;
 use super::refine::classes_of;
 use super::{batch_file, batch_views, batches, config, read, read_json, view_file, write, write_json};
@@ -94,6 +94,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let config = config(job.run)?;
     let imported: Imported = job.read("import")?;
     let Groups { groups, extent, .. } = job.read("group")?;
+    let groups = finished_groups(job.run, groups, "depth")?;
     let views = batch_views(job, imported.scene.views.len());
     let fused = views
         .par_iter()
@@ -160,11 +161,17 @@ fn fuse_view(
 
 fn layer(job: &Job<'_>, group: &Group, view_index: usize, camera: &Pinhole) -> Result<Option<Layer>> {
     let Some(view) = group.views.iter().find(|view| view.view_index as usize == view_index) else { return Ok(None) };
-    let (depth, weight) = read_depth(&job.input("depth").join(group.id.to_string()), view_index)?;
+    let name = group.id.to_string();
+    let (depth, weight) = read_depth(&job.input("depth").join(&name), view_index)?;
+    let share = share_of(&job.input("group"), &name, view)?;
     let mut map = DepthMap::empty(camera.width, camera.height);
     let [x0, y0, ..] = view.window_px;
     for y in 0..depth.height {
         for x in 0..depth.width {
+            // What lies in the halo is another group's, which knows it better.
+            if share.as_ref().is_some_and(|share| share.halo.at(x, y)) {
+                continue;
+            }
             map.depth.set(x0 + x, y0 + y, depth.at(x, y));
             map.weight.set(x0 + x, y0 + y, weight.at(x, y));
         }

@@ -1,23 +1,23 @@
-//! `group`: what each worker trains on. Without masks one group of everything; with masks one of all buildings and one
-//! of the background.
+//! `group`: what each worker trains on. Without masks one group of everything; with masks one group per cluster of
+//! buildings (`divide`), blocks of background, and of each its share of every view (`survey`). Paper 4.1.
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use glam::DVec3;
-use pgsag_group::group::{background_points, building_points, origin_of, window_of};
+use pgsag_group::group::origin_of;
+use pgsag_group::territory::Share;
 use pgsag_group::{Group, GroupId, GroupKind, GroupView};
-use pgsag_scene::Scene;
 use pgsag_scene::numbers::{median, quantile};
+use pgsag_scene::{Map, Mask, PixelClass, Scene};
 use serde::{Deserialize, Serialize};
 
 use super::aoi::Area;
 use super::coarse::Coarse;
 use super::import::Imported;
 use super::masks::{MaskState, states};
-use super::refine::classes_of;
 use super::vote::Votes;
-use super::{config, read_json, write_json};
+use super::{config, read, read_json, view_file, write, write_json};
 use crate::config::Config;
 use crate::error::UserError;
 use crate::photographs::training_camera;
@@ -25,10 +25,50 @@ use crate::run::Run;
 use crate::run::artifact::Artifact;
 use crate::run::stage::{Cost, Job, JobPlan};
 
-/// Pixels around a group's mask that come along: SSIM reaches 5, patches of the multi-view terms 3.
-const MARGIN_PX: u32 = 16;
+mod divide;
+mod survey;
+
+pub(crate) use divide::budget;
+
 /// A group with fewer points than this cannot begin.
 const MIN_POINTS: usize = 4;
+
+/// How buildings are grouped.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GroupingOptions {
+    /// Radius of a neighbourhood in plan view, metres; 0: eight distances between points, within the two bounds below.
+    pub eps_m: f64,
+    /// Least radius that density may lead to, metres.
+    pub min_eps_m: f64,
+    /// Largest radius that density may lead to, metres.
+    pub max_eps_m: f64,
+    /// How far a part of a cut cluster sees into the others, metres.
+    pub halo_m: f64,
+    /// Clusters of fewer points, or of fewer than lie on 25 m², join one within two radii, or the background.
+    pub min_points: usize,
+    /// Clusters of more points are cut; 0: as many as training fits into `--memory-limit` twice.
+    pub max_points: usize,
+    /// Share of a group's points that a view must see to belong to it.
+    pub min_seen_share: f32,
+    /// Views of a group at most: those that see most of it, most squarely and most finely.
+    pub max_views: usize,
+}
+
+impl Default for GroupingOptions {
+    fn default() -> Self {
+        Self {
+            eps_m: 0.0,
+            min_eps_m: 2.0,
+            max_eps_m: 8.0,
+            halo_m: 12.0,
+            min_points: 200,
+            max_points: 0,
+            min_seen_share: 0.02,
+            max_views: 300,
+        }
+    }
+}
 
 /// Side of the cubes by which surface is looked up, in local ground sampling distances.
 const CUBE_GSD: f64 = 256.0;
@@ -96,7 +136,7 @@ pub fn group_names(stage_folder: &Path) -> Result<Vec<String>> {
 
 impl Artifact for Groups {
     const FORMAT: &'static str = "pgsag-groups";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
 
     fn read(folder: &Path) -> Result<Self> {
         let Index { names, masked } = read_json(&folder.join("groups.json"))?;
@@ -110,7 +150,7 @@ impl Artifact for Groups {
         write_json(&folder.join("groups.json"), &index)?;
         write_json(&folder.join("extent.json"), &self.extent)?;
         for (group, name) in self.groups.iter().zip(names) {
-            std::fs::create_dir(folder.join(&name))?;
+            std::fs::create_dir_all(folder.join(&name))?;
             write_json(&folder.join(name).join("group.json"), group)?;
         }
         Ok(())
@@ -125,20 +165,66 @@ pub fn group_of(stage_folder: &Path, name: &str) -> Result<Group> {
     read_json(&stage_folder.join(name).join("group.json"))
 }
 
+/// The groups whose job of a stage is finished; the others failed twice.
+///
+/// # Errors
+/// Where the stage is not finished.
+pub fn finished_groups(run: &Run, groups: Vec<Group>, stage: &str) -> Result<Vec<Group>> {
+    let finished = run.finished_jobs(stage)?;
+    Ok(groups.into_iter().filter(|group| finished.contains(&group.id.to_string())).collect())
+}
+
 /// Whether a view is kept out of training.
 #[must_use]
 pub fn is_held_out(view_index: usize, holdout: u32) -> bool {
     holdout > 1 && view_index.is_multiple_of(holdout as usize)
 }
 
+/// Marks halo pixels in a share's raster, above the class.
+const HALO_BIT: u16 = 4;
+
+/// A group's share of a view: window, classes, halo; `None` where the group takes the whole view.
+///
+/// # Errors
+/// Where the raster is damaged.
+pub fn share_of(stage_folder: &Path, name: &str, view: &GroupView) -> Result<Option<Share>> {
+    let path = stage_folder.join(name).join(view_file(view.view_index as usize, "mask.png"));
+    if !path.exists() {
+        return Ok(None);
+    }
+    let (file, bytes) = read(&path)?;
+    let map = pgsag_scene::files::raster::decode_instances(&file, &bytes)?;
+    let [_, _, width, height] = view.window_px;
+    ensure!((map.width, map.height) == (width, height), "{file}: damaged; delete its folder");
+    let class = |value: &u16| match value & 3 {
+        0 => PixelClass::Free,
+        1 => PixelClass::Occluded,
+        2 => PixelClass::Boundary,
+        _ => PixelClass::Inside,
+    };
+    let mask = Mask { width, height, classes: map.values.iter().map(class).collect() };
+    let halo = map.values.iter().map(|value| value & HALO_BIT != 0).collect();
+    Ok(Some(Share { window_px: view.window_px, mask, halo: Map { width, height, values: halo } }))
+}
+
+/// Writes what [`share_of`] reads.
+fn write_share(folder: &Path, view_index: usize, share: &Share) -> Result<()> {
+    let value = |(class, halo): (&PixelClass, &bool)| *class as u16 | if *halo { HALO_BIT } else { 0 };
+    let values = share.mask.classes.iter().zip(&share.halo.values).map(value).collect();
+    let map = Map { width: share.mask.width, height: share.mask.height, values };
+    write(&folder.join(view_file(view_index, "mask.png")), &pgsag_scene::files::raster::encode_instances_png(&map))
+}
+
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let imported = Imported::read(&run.stage_folder("import"))?;
     let pixels = imported.scene.views.iter().map(|view| view.camera.pixel_count() as u64).max().unwrap_or(0);
-    let points = imported.scene.points.len() as u64;
+    let points = std::fs::metadata(run.stage_folder("vote").join("votes.bin")).map_or(0, |found| found.len() / 9);
+    let threads = rayon::current_num_threads() as u64;
+    let views = imported.scene.views.len() as f64;
     let cost = Cost {
-        memory_bytes: (64 << 20) + 8 * pixels + 500 * points,
-        disk_bytes: 20 * points,
-        cpu_secs: imported.scene.views.len() as f64 * pixels as f64 * 10e-9,
+        memory_bytes: (64 << 20) + 64 * pixels * threads + 800 * points,
+        disk_bytes: 20 * points + views as u64 * pixels / 16,
+        cpu_secs: views * (pixels as f64 * 200e-9 + points as f64 * 60e-9),
     };
     Ok(JobPlan::whole(&["import", "coarse", "masks", "vote", "refine"], cost))
 }
@@ -148,26 +234,22 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let imported: Imported = job.read("import")?;
     let area = Area::of(&config)?;
     // The coarse points keep no tracks, the sparse ones do.
-    let seen = area.views_seeing(&imported.scene);
-    let is_used = |view: usize| seen[view] && !is_held_out(view, config.holdout);
-    let scene = &job.read::<Coarse>("coarse")?.scene(imported);
+    let used = area.views_seeing(&imported.scene);
+    let Coarse { points, normals } = job.read("coarse")?;
+    let scene = Scene { points, ..imported.scene };
     let states = states(job, scene.views.len())?;
-    let votes: Votes = job.read("vote")?;
-    let inside = |points: Vec<u32>| -> Vec<u32> {
-        let within = |index: &u32| area.contains(scene.points[*index as usize].position_world);
-        points.into_iter().filter(within).collect()
-    };
-    let mut groups = Vec::new();
     let masked = states.iter().any(|state| *state != MaskState::Unknown);
-    if !masked {
-        let points = inside((0..scene.points.len() as u32).collect());
-        groups.extend(whole_scene(scene, points, &is_used, &config));
+    let within = |index: &u32| area.contains(scene.points[*index as usize].position_world);
+    let points: Vec<u32> = (0..scene.points.len() as u32).filter(within).collect();
+    let groups = if masked {
+        let Votes { labels, .. } = job.read("vote")?;
+        let division = divide::divide(job, &scene, &points, &labels, &config)?;
+        let patrol =
+            survey::Patrol { job, config: &config, scene: &scene, normals: &normals, states: &states, used: &used };
+        patrol.groups(&division, &labels)?
     } else {
-        let buildings = inside(building_points(&votes.0, &config.vote));
-        let background = inside(background_points(&votes.0, &config.vote));
-        groups.extend(masked_group(job, scene, buildings, GroupKind::Building, &states, &is_used, &config)?);
-        groups.extend(masked_group(job, scene, background, GroupKind::Background, &states, &is_used, &config)?);
-    }
+        whole_scene(&scene, points, &used, &config).into_iter().collect()
+    };
     if groups.is_empty() {
         return Err(UserError::new(
             config.scene,
@@ -177,13 +259,24 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         .into());
     }
     for group in &groups {
-        job.say(&format!("{}: {} points, {} images", group.id, group.points.len(), group.views.len()));
+        job.say(&described(group));
     }
-    let extent = extent(scene, &groups, &config);
+    let extent = extent(&scene, &groups, &config);
     let Some(extent) = extent else {
         return Err(UserError::new(config.scene, "no point lies in front of a camera", "check poses and points").into());
     };
     job.write(&Groups { groups, extent, masked })
+}
+
+fn described(group: &Group) -> String {
+    let middle = |of: fn(&GroupView) -> f32| {
+        median(&mut group.views.iter().map(|view| f64::from(of(view))).collect::<Vec<_>>()).unwrap_or(0.0)
+    };
+    let halo = group.points.len() - group.core_count;
+    let halo = if halo > 0 { format!(" and {halo} around") } else { String::new() };
+    let seen = middle(|view| view.seen_share);
+    let seen = if seen > 0.0 { format!(", each seeing {:.0} % of it", 100.0 * seen) } else { String::new() };
+    format!("{}: {} points{halo}, {} images{seen}", group.id, group.core_count, group.views.len())
 }
 
 /// The box of nearly all points, half as large again, and the ground sampling distance there.
@@ -216,11 +309,20 @@ fn extent(scene: &Scene, groups: &[Group], config: &Config) -> Option<Extent> {
     Some(Extent { low: low - margin, high: high + margin, gsd: median(&mut distances)? })
 }
 
-/// Everything, in every view that is not held out.
-fn whole_scene(scene: &Scene, points: Vec<u32>, is_used: &dyn Fn(usize) -> bool, config: &Config) -> Option<Group> {
-    let views: Vec<GroupView> =
-        (0..scene.views.len()).filter(|view| is_used(*view)).map(|view| whole_view(scene, view, config)).collect();
-    group(scene, GroupKind::Building, points, views)
+/// Everything, in every view.
+fn whole_scene(scene: &Scene, points: Vec<u32>, used: &[bool], config: &Config) -> Option<Group> {
+    let all = (0..scene.views.len()).filter(|view| used[*view]).map(|view| whole_view(scene, view, config));
+    let (held_out, views): (Vec<_>, Vec<_>) =
+        all.partition(|view| is_held_out(view.view_index as usize, config.holdout));
+    let id = GroupId { kind: GroupKind::Building, number: 1 };
+    let core_count = points.len();
+    let origin_world = origin_of(scene, &points);
+    is_trainable(core_count, views.len()).then_some(Group { id, origin_world, views, held_out, points, core_count })
+}
+
+/// Whether training can begin at all.
+fn is_trainable(point_count: usize, view_count: usize) -> bool {
+    point_count >= MIN_POINTS && view_count >= 2
 }
 
 fn whole_view(scene: &Scene, view: usize, config: &Config) -> GroupView {
@@ -229,51 +331,9 @@ fn whole_view(scene: &Scene, view: usize, config: &Config) -> GroupView {
         view_index: view as u32,
         window_px: [0, 0, camera.width, camera.height],
         active_count: camera.pixel_count() as u64,
+        seen_share: 0.0,
+        gsd: 0.0,
+        incidence_deg: 0.0,
+        azimuth_deg: 0.0,
     }
-}
-
-fn masked_group(
-    job: &Job<'_>,
-    scene: &Scene,
-    points: Vec<u32>,
-    kind: GroupKind,
-    states: &[MaskState],
-    is_used: &dyn Fn(usize) -> bool,
-    config: &Config,
-) -> Result<Option<Group>> {
-    let classes = job.input("refine");
-    let mut views = Vec::new();
-    for (view, state) in states.iter().enumerate() {
-        job.check()?;
-        if !is_used(view) {
-            continue;
-        }
-        match (state, kind) {
-            (MaskState::Unknown, GroupKind::Background) => views.push(whole_view(scene, view, config)),
-            (MaskState::Unknown, GroupKind::Building) => {}
-            _ => {
-                let Some(mask) = classes_of(&classes, view, kind)? else { continue };
-                let window = window_of(&mask, MARGIN_PX);
-                let active_count = mask.active_count() as u64;
-                views.extend(window.map(|window_px| GroupView { view_index: view as u32, window_px, active_count }));
-            }
-        }
-    }
-    let group = group(scene, kind, points, views);
-    if group.is_none() {
-        job.warn(match kind {
-            GroupKind::Building => "the masks leave no building to reconstruct",
-            GroupKind::Background => "the masks leave no background to reconstruct",
-        });
-    }
-    Ok(group)
-}
-
-fn group(scene: &Scene, kind: GroupKind, points: Vec<u32>, views: Vec<GroupView>) -> Option<Group> {
-    (points.len() >= MIN_POINTS && views.len() >= 2).then(|| Group {
-        id: GroupId { kind, number: 1 },
-        origin_world: origin_of(scene, &points),
-        views,
-        points,
-    })
 }

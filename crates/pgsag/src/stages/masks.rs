@@ -1,20 +1,28 @@
-//! `masks`: which pixels show buildings, one raster per image at the size of training. From a folder, or nothing.
+//! `masks`: which pixels show buildings, one raster per image at the size of training. From a folder, from the shape of
+//! the coarse surface (`geometry`), or nothing.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use glam::DVec3;
+use pgsag_group::geometry::{self, Points};
+use pgsag_group::plan::PlanFrame;
+use pgsag_group::refine::{Drawing, drawn_labels, mask_of_labels};
+use pgsag_group::surface::Surface;
 use pgsag_scene::Map;
 use pgsag_scene::files::folder::{SceneFolder, open_scene};
 use pgsag_scene::files::raster::{decode_mask, encode_mask_png};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::coarse::Coarse;
 use super::import::Imported;
 use super::{
     batch_file, batch_views, batches, config, read, read_json, source_fingerprint, view_file, write, write_json,
 };
 use crate::config::Config;
-use crate::photographs::{training_camera, training_mask};
+use crate::lengths::Lengths;
+use crate::photographs::{Photographs, training_camera, training_mask};
 use crate::run::Run;
 use crate::run::artifact::Artifact;
 use crate::run::stage::{Cost, Job, JobPlan};
@@ -79,11 +87,34 @@ pub fn mask_of(stage_folder: &Path, view_index: usize, state: MaskState) -> Resu
     Ok(Some(decode_mask(&file, &bytes)?))
 }
 
+/// Where masks come from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Origin {
+    Nothing,
+    /// `SCENE/masks` or `SCENE/mask`.
+    Scene,
+    Folder(PathBuf),
+    Geometry,
+}
+
+fn origin(config: &Config) -> Origin {
+    match config.masks.as_str() {
+        "none" => Origin::Nothing,
+        "geometry" => Origin::Geometry,
+        "auto" if MASK_FOLDERS.iter().any(|name| Path::new(&config.scene).join(name).is_dir()) => Origin::Scene,
+        "auto" => Origin::Geometry,
+        folder => Origin::Folder(folder.into()),
+    }
+}
+
+/// Where a scene keeps masks.
+const MASK_FOLDERS: [&str; 2] = ["masks", "mask"];
+
 pub(crate) fn sources(run: &Run) -> Result<Vec<(String, String)>> {
     let config = config(run)?;
     let folders = match config.masks.as_str() {
-        "none" => Vec::new(),
-        "auto" => ["masks", "mask"].iter().map(|name| PathBuf::from(&config.scene).join(name)).collect(),
+        "none" | "geometry" => Vec::new(),
+        "auto" => MASK_FOLDERS.iter().map(|name| PathBuf::from(&config.scene).join(name)).collect(),
         folder => vec![PathBuf::from(folder)],
     };
     folders
@@ -98,6 +129,15 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let imported = Imported::read(&run.stage_folder("import"))?;
     let pixels = imported.scene.views.iter().map(|view| view.camera.pixel_count() as u64).max().unwrap_or(0);
     let threads = rayon::current_num_threads() as u64;
+    if origin(&config(run)?) == Origin::Geometry {
+        let points =
+            std::fs::metadata(run.stage_folder("coarse").join("points.bin")).map_or(0, |found| found.len() / 50);
+        return Ok(batches(imported.scene.views.len(), &["import", "coarse"], |count| Cost {
+            memory_bytes: (64 << 20) + 48 * pixels * threads + 600 * points,
+            disk_bytes: count as u64 * pixels / 50,
+            cpu_secs: count as f64 * (pixels as f64 * 500e-9 + points as f64 * 50e-9),
+        }));
+    }
     Ok(batches(imported.scene.views.len(), &["import"], |count| Cost {
         memory_bytes: (64 << 20) + 8 * pixels * threads,
         disk_bytes: count as u64 * pixels / 50,
@@ -108,8 +148,13 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let config = config(job.run)?;
     let imported: Imported = job.read("import")?;
-    let folder = with_masks(&imported, &config)?;
+    let origin = origin(&config);
     let views = batch_views(job, imported.scene.views.len());
+    if origin == Origin::Geometry {
+        let states = by_geometry(job, &imported, &config, &views)?;
+        return job.write(&MaskList { views: states });
+    }
+    let folder = with_masks(&imported, &config, origin)?;
     let done = std::sync::atomic::AtomicU64::new(0);
     let total = views.len() as u64;
     let states = views
@@ -125,21 +170,68 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     job.write(&MaskList { views: states })
 }
 
-fn with_masks(imported: &Imported, config: &Config) -> Result<SceneFolder> {
+fn with_masks(imported: &Imported, config: &Config, origin: Origin) -> Result<SceneFolder> {
     let scene = Path::new(&config.scene);
-    match config.masks.as_str() {
-        "none" => Ok(imported.folder(scene)),
-        "auto" => {
+    match origin {
+        Origin::Nothing | Origin::Geometry => Ok(imported.folder(scene)),
+        Origin::Scene => {
             let opened = open_scene(scene)?;
             Ok(SceneFolder { scene: imported.scene.clone(), ..opened })
         }
-        masks => {
+        Origin::Folder(masks) => {
             let mut folder = imported.folder(scene);
-            folder.attach_masks(Path::new(masks))?;
+            folder.attach_masks(&masks)?;
             Ok(folder)
         }
     }
 }
+
+/// Masks from the shape of the coarse surface: its points are told apart and drawn into every image.
+fn by_geometry(
+    job: &Job<'_>,
+    imported: &Imported,
+    config: &Config,
+    views: &[usize],
+) -> Result<Vec<(usize, MaskState)>> {
+    let coarse: Coarse = job.read("coarse")?;
+    let positions: Vec<DVec3> = coarse.points.iter().map(|point| point.position_world).collect();
+    let colors: Vec<[u8; 3]> = coarse.points.iter().map(|point| point.color).collect();
+    let surface = Surface::new(positions.clone());
+    let lengths = Lengths::of(&imported.scene);
+    let points = Points { positions: &positions, colors: &colors, normals: &coarse.normals, spacing: surface.spacing };
+    let frame = PlanFrame::new(imported.scene.frame.up_world);
+    let found = geometry::find(&points, &frame, &config.geometry, lengths.units(1.0));
+    let Some(found) = found.filter(|found| found.buildings > 0) else {
+        job.warn("nothing here has the shape of a building: buildings are not separated from their surroundings");
+        return Ok(views.iter().map(|view| (*view, MaskState::Unknown)).collect());
+    };
+    job.say(&format!(
+        "{} pieces have the shape of buildings, {} others rise above the ground",
+        found.buildings, found.others
+    ));
+    let photographs = Photographs::new(imported, config, job, 0);
+    let done = std::sync::atomic::AtomicU64::new(0);
+    let draw = |&view: &usize| {
+        job.check()?;
+        let camera = photographs.camera(view);
+        let pose = &imported.scene.views[view].camera_from_world;
+        let seen = surface.render(&surface.buffer_camera(&camera, pose), pose, |_| true);
+        let is_witnessed = |point: u32| coarse.is_measured_by(point as usize, view);
+        let labels = &found.labels;
+        let drawing = Drawing { seen: &seen, labels, is_witnessed: &is_witnessed, agreement: AGREEMENT };
+        let drawn = drawn_labels(&drawing, photographs.whole(view)?.as_ref(), &config.refine);
+        let mask = mask_of_labels(&drawn, (SPECK_SUPERPIXELS * config.refine.superpixel_px.pow(2)) as usize);
+        write(&job.output().join(view_file(view, "mask.png")), &encode_mask_png(&mask))?;
+        job.advance(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1, views.len() as u64, "masks");
+        Ok((view, if mask.values.contains(&true) { MaskState::Buildings } else { MaskState::Empty }))
+    };
+    views.par_iter().map(draw).collect()
+}
+
+/// Share of a superpixel's points that must agree for it to follow them as one.
+const AGREEMENT: f32 = 0.6;
+/// Patches of a mask smaller than this many superpixels are specks.
+const SPECK_SUPERPIXELS: u32 = 2;
 
 fn write_mask(job: &Job<'_>, folder: &SceneFolder, config: &Config, view: usize) -> Result<MaskState> {
     let Some(mask) = folder.read_undistorted_mask(view)? else { return Ok(MaskState::Unknown) };

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use glam::DVec3;
-use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces, plan_pieces};
+use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces};
+use pgsag_mesh::identity::{RoofRules, roof_pieces};
 use pgsag_mesh::merge::split_by_building;
 use pgsag_mesh::render::visibility;
 use pgsag_scene::{Mesh, Scene};
@@ -33,13 +34,15 @@ pub struct BuildingOptions {
     pub min_piece_faces: usize,
     /// Buildings part in plan view where a gap is wider than about two of these.
     pub plan_cell_m: f64,
+    /// Roofs that touch are of two buildings where their heights differ by more than this, metres; 0: only gaps part.
+    pub height_step_m: f64,
     /// Building surface of less than this is no building of its own and counts as background.
     pub min_building_m2: f64,
 }
 
 impl Default for BuildingOptions {
     fn default() -> Self {
-        Self { min_piece_m2: 2.0, min_piece_faces: 50, plan_cell_m: 0.5, min_building_m2: 10.0 }
+        Self { min_piece_m2: 2.0, min_piece_faces: 50, plan_cell_m: 0.5, height_step_m: 0.5, min_building_m2: 10.0 }
     }
 }
 
@@ -155,7 +158,9 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let voxel = lattice_of(&groups.extent, &config, imported.scene.frame.metres_per_unit).voxel;
     let cell = lengths.units(options.plan_cell_m).max(1.5 * voxel);
     let up = imported.scene.frame.up_world;
-    number_buildings(&mut city, up, cell, lengths.square_units(options.min_building_m2))?;
+    let min_area = lengths.square_units(options.min_building_m2);
+    let step = if options.height_step_m > 0.0 { lengths.units(options.height_step_m) } else { f64::INFINITY };
+    number_buildings(&mut city, up, &RoofRules { cell, step, min_area })?;
     let buildings = keep_faces(&city, |face| city.buildings[face] != 0);
     let parts = split_by_building(&buildings);
     let mut list: Vec<Building> = parts.iter().map(|(n, mesh)| described(*n, mesh, up, &lengths)).collect();
@@ -168,16 +173,16 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
 }
 
 /// Numbers the pieces of building surface from 1, the largest first; small ones become background.
-fn number_buildings(city: &mut Mesh, up: DVec3, cell: f64, min_area: f64) -> Result<()> {
+fn number_buildings(city: &mut Mesh, up: DVec3, rules: &RoofRules) -> Result<()> {
     if city.groups.len() != city.faces.len() {
         bail!("faces without groups");
     }
-    let pieces = plan_pieces(city, up, cell, |face| city.groups[face] != 0)?;
+    let pieces = roof_pieces(city, up, rules, |face| city.groups[face] != 0)?;
     let mut areas: BTreeMap<u32, f64> = BTreeMap::new();
     for (face, piece) in pieces.iter().enumerate().filter(|(_, piece)| **piece != 0) {
         *areas.entry(*piece).or_default() += face_area(city, face);
     }
-    let mut order: Vec<(u32, f64)> = areas.into_iter().filter(|(_, area)| *area >= min_area).collect();
+    let mut order: Vec<(u32, f64)> = areas.into_iter().filter(|(_, area)| *area >= rules.min_area).collect();
     order.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
     let number: BTreeMap<u32, u32> = order.iter().zip(1..).map(|((piece, _), number)| (*piece, number)).collect();
     city.buildings = pieces.iter().map(|piece| number.get(piece).copied().unwrap_or(0)).collect();
@@ -273,9 +278,10 @@ mod tests {
     #[test]
     fn the_largest_building_is_number_one_and_crumbs_are_background() {
         let mut city = squares(&[(0.0, 1), (10.0, 1), (11.0, 1), (20.0, 0)]);
-        number_buildings(&mut city, DVec3::Z, 0.5, 0.5).expect("numbered");
+        let rules = |min_area: f64| RoofRules { cell: 0.5, step: f64::INFINITY, min_area };
+        number_buildings(&mut city, DVec3::Z, &rules(0.5)).expect("numbered");
         assert_eq!(city.buildings, [2, 2, 1, 1, 1, 1, 0, 0]);
-        number_buildings(&mut city, DVec3::Z, 0.5, 1.5).expect("numbered");
+        number_buildings(&mut city, DVec3::Z, &rules(1.5)).expect("numbered");
         assert_eq!(city.buildings, [0, 0, 1, 1, 1, 1, 0, 0]);
         assert_eq!(city.groups, [0, 0, 1, 1, 1, 1, 0, 0]);
     }

@@ -1,19 +1,25 @@
-//! `refine`: masks to the pixel classes that training works with, per kind of group.
+//! `refine`: masks, set right by the voted points, to the pixel classes that training works with, per kind of group.
 
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Result;
-use pgsag_group::GroupKind;
-use pgsag_group::refine::{background_classes, building_classes};
-use pgsag_scene::Mask;
+use pgsag_group::refine::{Drawing, RefineOptions, background_classes, building_classes, corrected, drawn_labels};
+use pgsag_group::surface::Surface;
+use pgsag_group::{GroupKind, Label};
+use pgsag_scene::files::raster::encode_mask_png;
+use pgsag_scene::{Map, Mask};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::coarse::Coarse;
 use super::import::Imported;
 use super::masks::{mask_of, states};
+use super::vote::Votes;
 use super::{
     batch_file, batch_views, batches, config, encode_classes, read_classes, read_json, view_file, write, write_json,
 };
+use crate::photographs::Photographs;
 use crate::run::Run;
 use crate::run::artifact::Artifact;
 use crate::run::stage::{Cost, Job, JobPlan};
@@ -27,7 +33,7 @@ pub struct Classes {
 
 impl Artifact for Classes {
     const FORMAT: &'static str = "pgsag-classes";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
 
     fn read(folder: &Path) -> Result<Self> {
         read_json(&folder.join("classes.json"))
@@ -55,35 +61,111 @@ pub fn classes_of(stage_folder: &Path, view_index: usize, kind: GroupKind) -> Re
     if path.exists() { read_classes(&path).map(Some) } else { Ok(None) }
 }
 
+/// The building mask of a view after refinement; `None` where its mask is unknown.
+///
+/// # Errors
+/// Where the raster is damaged.
+pub fn building_of(stage_folder: &Path, view_index: usize) -> Result<Option<Map<bool>>> {
+    let active = |mask: Mask| Map {
+        width: mask.width,
+        height: mask.height,
+        values: mask.classes.iter().map(|class| class.is_active()).collect(),
+    };
+    Ok(classes_of(stage_folder, view_index, GroupKind::Building)?.map(active))
+}
+
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let imported = Imported::read(&run.stage_folder("import"))?;
     let pixels = imported.scene.views.iter().map(|view| view.camera.pixel_count() as u64).max().unwrap_or(0);
+    let points = std::fs::metadata(run.stage_folder("vote").join("votes.bin")).map_or(0, |found| found.len() / 9);
     let threads = rayon::current_num_threads() as u64;
-    Ok(batches(imported.scene.views.len(), &["import", "masks"], |count| Cost {
-        memory_bytes: (64 << 20) + 24 * pixels * threads,
-        disk_bytes: count as u64 * pixels / 20,
-        cpu_secs: count as f64 * pixels as f64 * 120e-9,
+    Ok(batches(imported.scene.views.len(), &["import", "coarse", "masks", "vote"], |count| Cost {
+        memory_bytes: (64 << 20) + 64 * pixels * threads + 400 * points,
+        disk_bytes: count as u64 * pixels / 16,
+        cpu_secs: count as f64 * (pixels as f64 * 600e-9 + points as f64 * 50e-9),
     }))
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
-    let options = config(job.run)?.refine;
+    let config = config(job.run)?;
     let imported: Imported = job.read("import")?;
     let view_count = imported.scene.views.len();
     let states = states(job, view_count)?;
+    let Votes { labels, .. } = job.read("vote")?;
+    let photographs = Photographs::new(&imported, &config, job, 0);
+    let is_used = config.refine.correct && !labels.is_empty();
+    let coarse = if is_used { job.read("coarse")? } else { Coarse::default() };
+    let surface = Surface::new(coarse.points.iter().map(|point| point.position_world).collect());
+    let pencil = Pencil { coarse, surface, labels, photographs, imported: &imported };
     let masks = job.input("masks");
-    let classes = |&view: &usize| -> Result<Option<usize>> {
+    let done = AtomicU64::new(0);
+    let views = batch_views(job, view_count);
+    let refined = |&view: &usize| -> Result<Option<(usize, u64, u64)>> {
         job.check()?;
-        let Some(mask) = mask_of(&masks, view, states[view])? else { return Ok(None) };
-        let of = |kind| match kind {
-            GroupKind::Building => building_classes(&mask, &options),
-            GroupKind::Background => background_classes(&mask, &options),
-        };
-        for kind in [GroupKind::Building, GroupKind::Background] {
-            write(&job.output().join(view_file(view, kind_name(kind))), &encode_classes(&of(kind)))?;
-        }
-        Ok(Some(view))
+        let Some(given) = mask_of(&masks, view, states[view])? else { return Ok(None) };
+        let mask = pencil.corrected(view, &given, &config.refine)?;
+        write_classes(job, view, &mask, &config.refine)?;
+        write_named(job, &imported.scene.views[view].name, &mask)?;
+        job.advance(done.fetch_add(1, Ordering::Relaxed) + 1, views.len() as u64, "masks");
+        let changed = given.values.iter().zip(&mask.values).filter(|(before, now)| before != now).count();
+        Ok(Some((view, changed as u64, mask.values.len() as u64)))
     };
-    let views = batch_views(job, view_count).par_iter().map(classes).collect::<Result<Vec<_>>>()?;
-    job.write(&Classes { views: views.into_iter().flatten().collect() })
+    let found = views.par_iter().map(refined).collect::<Result<Vec<_>>>()?;
+    let found: Vec<_> = found.into_iter().flatten().collect();
+    let (changed, all) = found.iter().fold((0, 0), |sum, (_, changed, all)| (sum.0 + changed, sum.1 + all));
+    if all > 0 {
+        job.say(&format!("the points corrected {:.2} % of the masks' pixels", 100.0 * changed as f64 / all as f64));
+    }
+    job.write(&Classes { views: found.into_iter().map(|(view, ..)| view).collect() })
+}
+
+/// Share of a superpixel's points that must agree to overrule a mask as one.
+const SURE_AGREEMENT: f32 = 0.85;
+
+/// Draws the voted points into images.
+struct Pencil<'a> {
+    coarse: Coarse,
+    surface: Surface,
+    labels: Vec<Label>,
+    photographs: Photographs,
+    imported: &'a Imported,
+}
+
+impl Pencil<'_> {
+    /// A given mask, set right where the points contradict it.
+    fn corrected(&self, view: usize, given: &Map<bool>, options: &RefineOptions) -> Result<Map<bool>> {
+        if self.surface.is_empty() {
+            return Ok(given.clone());
+        }
+        let camera = self.photographs.camera(view);
+        let pose = &self.imported.scene.views[view].camera_from_world;
+        let seen = self.surface.render(&self.surface.buffer_camera(&camera, pose), pose, |_| true);
+        let is_witnessed = |point: u32| self.coarse.is_measured_by(point as usize, view);
+        let drawing =
+            Drawing { seen: &seen, labels: &self.labels, is_witnessed: &is_witnessed, agreement: SURE_AGREEMENT };
+        let drawn = drawn_labels(&drawing, self.photographs.whole(view)?.as_ref(), options);
+        let reach_px = f64::from(options.min_change_px).max(self.surface.spacing_px(&camera, &seen));
+        Ok(corrected(given, &drawn, reach_px as f32))
+    }
+}
+
+fn write_classes(job: &Job<'_>, view: usize, mask: &Map<bool>, options: &RefineOptions) -> Result<()> {
+    for kind in [GroupKind::Building, GroupKind::Background] {
+        let classes = match kind {
+            GroupKind::Building => building_classes(mask, options),
+            GroupKind::Background => background_classes(mask, options),
+        };
+        write(&job.output().join(view_file(view, kind_name(kind))), &encode_classes(&classes))?;
+    }
+    Ok(())
+}
+
+/// The refined mask under COLMAP's name for it: the photograph's path with `.png` behind it.
+fn write_named(job: &Job<'_>, name: &str, mask: &Map<bool>) -> Result<()> {
+    let path = job.output().join("masks").join(format!("{name}.png"));
+    if Path::new(name).components().any(|part| !matches!(part, std::path::Component::Normal(_))) {
+        return Ok(()); // a name that leads out of the folder
+    }
+    std::fs::create_dir_all(path.parent().unwrap_or(job.output()))?;
+    write(&path, &encode_mask_png(mask))
 }

@@ -11,10 +11,11 @@ use pgsag_mesh::merge::split_by_building;
 use pgsag_scene::{Frame, Mesh};
 use serde_json::{Value, json};
 
-use super::group::Groups;
+use super::group::{Groups, finished_groups};
 use super::import::Imported;
 use super::merge::{Building, Merged};
 use super::score::Scored;
+use super::vote::Votes;
 use super::{config, write, write_json};
 use crate::config::Config;
 use crate::lengths::Lengths;
@@ -51,6 +52,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let config = config(job.run)?;
     let imported: Imported = job.read("import")?;
     let Groups { groups, masked, .. } = job.read("group")?;
+    let groups = finished_groups(job.run, groups, "train")?;
     let names: Vec<String> = groups.iter().map(|group| group.id.to_string()).collect();
     link_files(job, &names)?;
     write_json(&job.output().join("georef.json"), &georef(&imported.scene.frame))?;
@@ -62,8 +64,17 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let Scored(score) = job.read("score")?;
     let face_count = city.faces.len();
     drop(city);
-    let content =
-        report::Content { imported: &imported, groups: &names, buildings: &list, masked, face_count, shown, score };
+    let Votes { votes, .. } = job.read("vote")?;
+    let content = report::Content {
+        imported: &imported,
+        buildings: &list,
+        masked,
+        face_count,
+        shown,
+        score,
+        votes,
+        grouped: &groups,
+    };
     let page = report::page(job, &config, &content)?;
     write(&job.output().join("report.html"), page.as_bytes())
 }

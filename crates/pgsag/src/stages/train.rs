@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
-use pgsag_group::{Group, GroupKind};
+use pgsag_group::{Group, GroupView};
 use pgsag_scene::error::FileError;
 use pgsag_scene::{Mask, View};
 use pgsag_splat::SplatCloud;
@@ -21,9 +21,8 @@ use serde_json::{Value, json};
 
 use super::cloud::{read_cloud, write_cloud};
 use super::coarse::Coarse;
-use super::group::{group_names, group_of, is_held_out};
+use super::group::{group_names, group_of, share_of};
 use super::import::Imported;
-use super::refine::classes_of;
 use super::{config, read_json, view_camera, write_json};
 use crate::config::Config;
 use crate::engine;
@@ -37,11 +36,13 @@ const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(120);
 /// Steps between two lines of the live log.
 const LOG_INTERVAL: u32 = 100;
 /// Training never grows a group beyond this many Gaussians per point it began with …
-const MAX_GROWTH: usize = 8;
+pub(crate) const MAX_GROWTH: usize = 8;
 /// … and this many more.
-const MAX_GROWTH_FLOOR: usize = 20_000;
+pub(crate) const MAX_GROWTH_FLOOR: usize = 20_000;
 /// Bytes per pixel of a view in training: maps and their gradients, for the view and its neighbour.
-const BYTES_PER_PIXEL: u64 = 400;
+pub(crate) const BYTES_PER_PIXEL: u64 = 400;
+/// Bytes that a job needs whatever it trains.
+pub(crate) const FIXED_BYTES: u64 = 128 << 20;
 
 /// A trained group.
 #[derive(Clone, Debug, PartialEq)]
@@ -112,14 +113,14 @@ pub struct GroupViews<'a> {
     pub group: &'a Group,
     views: &'a [View],
     photographs: &'a Photographs,
-    classes: std::path::PathBuf,
+    shares: std::path::PathBuf,
 }
 
 impl<'a> GroupViews<'a> {
     /// The views of `group` in a run.
     #[must_use]
     pub fn new(group: &'a Group, views: &'a [View], photographs: &'a Photographs, job: &Job<'_>) -> Self {
-        Self { group, views, photographs, classes: job.input("refine") }
+        Self { group, views, photographs, shares: job.input("group") }
     }
 
     /// Camera of a window of any view of the scene, about the group's origin.
@@ -129,26 +130,24 @@ impl<'a> GroupViews<'a> {
         view_camera(&self.views[view_index], &camera, window_px, self.group.origin_world)
     }
 
-    /// Pixel classes of a window of any view of the scene, for this group.
+    /// Pixel classes of the window of one of the group's views; `None` where the group takes all of it.
     ///
     /// # Errors
     /// Where the raster is damaged.
-    pub fn mask_of(&self, view_index: usize, window_px: [u32; 4]) -> Result<Option<Mask>> {
-        let [x0, y0, width, height] = window_px;
-        let mask = classes_of(&self.classes, view_index, self.group.id.kind)?;
-        Ok(mask.map(|mask| mask.cropped(x0, y0, width, height)))
+    pub fn mask_of(&self, view: &GroupView) -> Result<Option<Mask>> {
+        Ok(share_of(&self.shares, &self.group.id.to_string(), view)?.map(|share| share.mask))
     }
 
-    /// A window of any view of the scene, ready for training or comparison.
+    /// The window of one of the group's views, ready for training or comparison.
     ///
     /// # Errors
     /// Where photograph or mask cannot be read.
-    pub fn training_view(&self, view_index: usize, window_px: [u32; 4]) -> Result<TrainingView> {
-        let image = self.photographs.window(view_index, window_px)?;
+    pub fn training_view(&self, view: &GroupView) -> Result<TrainingView> {
+        let image = self.photographs.window(view.view_index as usize, view.window_px)?;
         Ok(TrainingView {
-            camera: self.camera_of(view_index, window_px),
+            camera: self.camera_of(view.view_index as usize, view.window_px),
             image: Arc::unwrap_or_clone(image),
-            mask: self.mask_of(view_index, window_px)?,
+            mask: self.mask_of(view)?,
             inner_edges: None,
         })
     }
@@ -165,8 +164,7 @@ impl ViewSource for GroupViews<'_> {
     }
 
     fn view(&self, index: usize) -> Result<Arc<TrainingView>, TrainError> {
-        let view = &self.group.views[index];
-        let found = self.training_view(view.view_index as usize, view.window_px).map(Arc::new);
+        let found = self.training_view(&self.group.views[index]).map(Arc::new);
         // A damaged photograph stays what it is, the user's to mend, on its way through the trainer.
         found.map_err(|error| TrainError::View {
             view: index,
@@ -181,18 +179,20 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let names = group_names(&folder)?;
     let plan = |name: String| -> Result<JobPlan> {
         let group = group_of(&folder, &name)?;
-        let pixels = |count: fn(&pgsag_group::GroupView) -> u64| group.views.iter().map(count).max().unwrap_or(0);
+        let pixels = |count: fn(&GroupView) -> u64| group.views.iter().map(count).max().unwrap_or(0);
         let window = pixels(|view| u64::from(view.window_px[2]) * u64::from(view.window_px[3]));
         let active =
             group.views.iter().map(|view| view.active_count).sum::<u64>() as f64 / group.views.len().max(1) as f64;
         let gaussians = gaussian_bound(&group, &config) as u64;
         let each = bytes_per_gaussian(config.initialise.sh_degree);
+        // Two fifths more for the caches of images.
+        let held = FIXED_BYTES + gaussians * each + window * BYTES_PER_PIXEL;
         let cost = Cost {
-            memory_bytes: (128 << 20) + gaussians * each + window * BYTES_PER_PIXEL,
+            memory_bytes: held + held * 2 / 3,
             disk_bytes: gaussians * 180,
             cpu_secs: f64::from(config.train.iterations) * (active * 1.2e-6 + gaussians as f64 * 0.4e-6),
         };
-        let inputs = vec![("import", None), ("coarse", None), ("refine", None), ("group", Some(name.clone()))];
+        let inputs = vec![("import", None), ("coarse", None), ("group", Some(name.clone()))];
         Ok(JobPlan { name, inputs, cost })
     };
     names.into_iter().map(plan).collect()
@@ -220,7 +220,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let cloud = initialise(&points, group.origin_world, &config.initialise)?;
     let density = DensityOptions { max_gaussians: gaussian_bound(&group, &config), ..config.train.density };
     let options = TrainOptions { view_cache_bytes: job.memory_bytes / 5, density, ..config.train.clone() };
-    let work = Train { job, views, neighbors, cloud, options, holdout: config.holdout };
+    let work = Train { job, views, neighbors, cloud, options };
     let trained = engine::run(&config.device, &config.simd, work)?;
     job.write(&trained)
 }
@@ -231,7 +231,6 @@ struct Train<'a, 'j> {
     neighbors: Vec<Vec<Neighbor>>,
     cloud: SplatCloud,
     options: TrainOptions,
-    holdout: u32,
 }
 
 impl engine::Work for Train<'_, '_> {
@@ -261,7 +260,7 @@ impl engine::Work for Train<'_, '_> {
         let (cloud, exposures) = trainer.finish()?;
         let indices = self.views.group.views.iter().map(|view| view.view_index);
         let exposures = indices.zip(&exposures).map(|(view, Exposure { gain, bias })| (view, *gain, *bias)).collect();
-        let held_out = evaluate(job, backend, &self.views, &cloud, sh_degree, self.holdout)?;
+        let held_out = evaluate(job, backend, &self.views, &cloud, sh_degree)?;
         let summary = Summary { sh_degree, scene_scale, iterations, gaussians: cloud.len(), exposures, held_out };
         Ok(Trained { cloud, summary })
     }
@@ -300,17 +299,13 @@ fn evaluate<B: Backend>(
     views: &GroupViews<'_>,
     cloud: &SplatCloud,
     sh_degree: u8,
-    holdout: u32,
 ) -> Result<Vec<HeldOut>> {
     let on_device = backend.upload(&OptimizerState::fresh(cloud.clone()))?;
     let mut found = Vec::new();
-    for view_index in (0..views.views.len()).filter(|view| is_held_out(*view, holdout)) {
+    for seen in &views.group.held_out {
         job.check()?;
-        let camera = views.photographs.camera(view_index);
-        let view = views.training_view(view_index, [0, 0, camera.width, camera.height])?;
-        if view.mask.is_none() && views.group.id.kind == GroupKind::Building && views.has_masks() {
-            continue;
-        }
+        let view_index = seen.view_index as usize;
+        let view = views.training_view(seen)?;
         let metrics = evaluate_view(backend, &on_device, &view, sh_degree, true)
             .with_context(|| views.views[view_index].name.clone())?;
         if metrics.pixels > 0 {
@@ -318,13 +313,4 @@ fn evaluate<B: Backend>(
         }
     }
     Ok(found)
-}
-
-impl GroupViews<'_> {
-    /// Whether this run has masks at all; without, a building group is the whole scene.
-    fn has_masks(&self) -> bool {
-        self.group.views.iter().any(|view| {
-            classes_of(&self.classes, view.view_index as usize, self.group.id.kind).is_ok_and(|mask| mask.is_some())
-        })
-    }
 }

@@ -1,0 +1,259 @@
+//! Which building a face belongs to where houses touch: pieces of plan view, parted where their roofs stand at different
+//! heights. Row houses and perimeter blocks have no gap (method 8.7).
+//!
+//! The highest surface in every cell of plan view is a relief. Neighbouring cells are of one roof where the relief goes
+//! on as its slope predicts; roofs grow from such cells, and small or enclosed ones (chimneys, dormers, lift houses) go to
+//! the roof that they share most border with.
+
+use std::collections::{BTreeMap, HashMap};
+
+use glam::DVec3;
+use pgsag_scene::Mesh;
+
+use crate::components::Sets;
+use crate::error::MeshError;
+
+/// When roofs are of two buildings, in scene units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RoofRules {
+    /// Side of a cell of plan view.
+    pub cell: f64,
+    /// Least height difference where roofs meet; infinite: only gaps part buildings.
+    pub step: f64,
+    /// Roofs of less area in plan are parts of others.
+    pub min_area: f64,
+}
+
+/// A roof that shares at least this part of its border with one other stands on it.
+const ENCLOSED_SHARE: f64 = 0.6;
+/// Samples of faces that are kept before they are thinned.
+const MAX_SAMPLES: usize = 1 << 20;
+
+/// The relief: highest point of every occupied cell.
+struct Relief {
+    keys: Vec<[i64; 2]>,
+    tops: Vec<f64>,
+    index: HashMap<[i64; 2], u32>,
+}
+
+/// `[F]` The building of every face, from 1 in the order of cells; 0 where `is_building` does not hold.
+///
+/// # Errors
+/// A cell that is no length.
+pub fn roof_pieces(
+    mesh: &Mesh,
+    up: DVec3,
+    rules: &RoofRules,
+    is_building: impl Fn(usize) -> bool,
+) -> Result<Vec<u32>, MeshError> {
+    if !(rules.cell > 0.0 && rules.cell.is_finite()) {
+        return Err(MeshError::Option { name: "cell", value: rules.cell, allowed: "greater than 0" });
+    }
+    let up = up.normalize_or(DVec3::Z);
+    let (east, north) = up.any_orthonormal_pair();
+    let key = |p: DVec3| [(p.dot(east) / rules.cell).floor() as i64, (p.dot(north) / rules.cell).floor() as i64];
+    let relief = Relief::of(mesh, &key, up, rules.cell, &is_building);
+    let number = relief.pieces(rules);
+    let piece = |face: usize| {
+        let middle = mesh.triangle(face).iter().map(|corner| DVec3::from(*corner)).sum::<DVec3>() / 3.0;
+        relief.index.get(&key(middle)).map_or(0, |cell| number[*cell as usize])
+    };
+    Ok((0..mesh.faces.len()).map(|face| if is_building(face) { piece(face) } else { 0 }).collect())
+}
+
+impl Relief {
+    fn of(
+        mesh: &Mesh,
+        key: &impl Fn(DVec3) -> [i64; 2],
+        up: DVec3,
+        cell: f64,
+        is_building: &impl Fn(usize) -> bool,
+    ) -> Self {
+        let mut samples: Vec<([i64; 2], f64)> = Vec::new();
+        for face in (0..mesh.faces.len()).filter(|face| is_building(*face)) {
+            let [a, b, c] = mesh.triangle(face).map(DVec3::from);
+            let steps = ((b - a).length().max((c - a).length()) / (0.5 * cell)).ceil().clamp(1.0, 4096.0) as i32;
+            for i in 0..=steps {
+                for j in 0..=steps - i {
+                    let (u, v) = (f64::from(i) / f64::from(steps), f64::from(j) / f64::from(steps));
+                    let at = a + (b - a) * u + (c - a) * v;
+                    samples.push((key(at), at.dot(up)));
+                }
+            }
+            let middle = (a + b + c) / 3.0;
+            samples.push((key(middle), middle.dot(up)));
+            if samples.len() > MAX_SAMPLES {
+                highest(&mut samples);
+            }
+        }
+        highest(&mut samples);
+        let index = samples.iter().enumerate().map(|(at, (key, _))| (*key, at as u32)).collect();
+        Self { keys: samples.iter().map(|s| s.0).collect(), tops: samples.iter().map(|s| s.1).collect(), index }
+    }
+
+    fn top(&self, key: [i64; 2]) -> Option<f64> {
+        self.index.get(&key).map(|cell| self.tops[*cell as usize])
+    }
+
+    /// How far the relief departs from its own slope between a cell and the next along `step`; `None` where there is none.
+    fn break_at(&self, at: [i64; 2], step: [i64; 2]) -> Option<f64> {
+        let place = |k: i64| [at[0] + k * step[0], at[1] + k * step[1]];
+        let (here, there) = (self.top(at)?, self.top(place(1))?);
+        let before = self.top(place(-1)).map(|top| here - top);
+        let after = self.top(place(2)).map(|top| top - there);
+        let slope = match (before, after) {
+            (Some(a), Some(b)) => 0.5 * (a + b),
+            _ => 0.0,
+        };
+        // Either reading may be right: at the rim of a roof the slope is that of the facade.
+        let rise = there - here;
+        Some((rise - slope).abs().min(rise.abs()))
+    }
+
+    fn pieces(&self, rules: &RoofRules) -> Vec<u32> {
+        let mut sets = Sets::new(self.keys.len());
+        for (cell, at) in self.keys.iter().enumerate() {
+            for (step, aside) in [([1, 0], [0, 1]), ([0, 1], [1, 0])] {
+                let Some(other) = self.index.get(&[at[0] + step[0], at[1] + step[1]]) else { continue };
+                let is_smooth = |k: i64| {
+                    let beside = [at[0] + k * aside[0], at[1] + k * aside[1]];
+                    self.break_at(beside, step).is_some_and(|height| height < rules.step)
+                };
+                // One cell that fits is no proof: a worn edge would join two houses.
+                let is_joined = is_smooth(0) && (is_smooth(-1) || is_smooth(1));
+                if is_joined || rules.step.is_infinite() {
+                    sets.join(cell as u32, *other);
+                }
+            }
+            if rules.step.is_infinite() {
+                for step in [[1, 1], [1, -1]] {
+                    if let Some(other) = self.index.get(&[at[0] + step[0], at[1] + step[1]]) {
+                        sets.join(cell as u32, *other);
+                    }
+                }
+            }
+        }
+        if rules.step.is_finite() {
+            self.absorb(&mut sets, rules);
+        }
+        let mut number = vec![0; self.keys.len()];
+        let mut next = 0;
+        (0..self.keys.len())
+            .map(|cell| {
+                let root = sets.find(cell as u32) as usize;
+                if number[root] == 0 {
+                    next += 1;
+                    number[root] = next;
+                }
+                number[root]
+            })
+            .collect()
+    }
+
+    /// Small and enclosed roofs go to the one that they share most border with, the smallest first.
+    fn absorb(&self, sets: &mut Sets, rules: &RoofRules) {
+        loop {
+            let mut sizes: BTreeMap<u32, u32> = BTreeMap::new();
+            let mut borders: BTreeMap<u32, BTreeMap<u32, u32>> = BTreeMap::new();
+            for (cell, at) in self.keys.iter().enumerate() {
+                let own = sets.find(cell as u32);
+                *sizes.entry(own).or_default() += 1;
+                for step in [[1, 0], [-1, 0], [0, 1], [0, -1]] {
+                    let beside = self.index.get(&[at[0] + step[0], at[1] + step[1]]);
+                    let other = beside.map_or(u32::MAX, |other| sets.find(*other));
+                    if other != own {
+                        *borders.entry(own).or_default().entry(other).or_default() += 1;
+                    }
+                }
+            }
+            let mut order: Vec<(u32, u32)> = sizes.iter().map(|(root, size)| (*size, *root)).collect();
+            order.sort_unstable();
+            let mut is_touched: BTreeMap<u32, bool> = BTreeMap::new();
+            let mut joined = 0;
+            for (size, root) in order {
+                let Some(border) = borders.get(&root) else { continue };
+                let perimeter: u32 = border.values().sum();
+                let most = border.iter().filter(|(other, _)| **other != u32::MAX);
+                let Some((other, shared)) = most.max_by_key(|(other, shared)| (**shared, u32::MAX - **other)) else {
+                    continue;
+                };
+                let is_small = f64::from(size) * rules.cell * rules.cell < rules.min_area;
+                let is_enclosed = f64::from(*shared) >= ENCLOSED_SHARE * f64::from(perimeter) && sizes[other] > size;
+                // What has just grown is measured again in the next round.
+                let is_fresh = !is_touched.contains_key(&root) && !is_touched.contains_key(other);
+                if (is_small || is_enclosed) && is_fresh {
+                    sets.join(root, *other);
+                    is_touched.insert(root, true);
+                    is_touched.insert(*other, true);
+                    joined += 1;
+                }
+            }
+            if joined == 0 {
+                break;
+            }
+        }
+    }
+}
+
+/// One sample per cell, the highest, in the order of the cells.
+fn highest(samples: &mut Vec<([i64; 2], f64)>) {
+    samples.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
+    samples.dedup_by_key(|sample| sample.0);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Roofs as heights over plan, a metre per quad.
+    fn town(columns: i64, rows: i64, height: impl Fn(f64, f64) -> Option<f64>) -> Mesh {
+        let mut mesh = Mesh::default();
+        for (x, y) in (0..rows * 2).flat_map(|y| (0..columns * 2).map(move |x| (x as f64 * 0.5, y as f64 * 0.5))) {
+            let Some(z) = height(x + 0.25, y + 0.25) else { continue };
+            let first = mesh.vertices.len() as u32;
+            let tilt = |dx: f64, dy: f64| height(x + dx, y + dy).filter(|h| (h - z).abs() < 0.4).unwrap_or(z);
+            for (dx, dy) in [(0.01, 0.01), (0.49, 0.01), (0.49, 0.49), (0.01, 0.49)] {
+                mesh.vertices.push([x + dx, y + dy, tilt(dx, dy)]);
+            }
+            mesh.faces.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+        }
+        mesh
+    }
+
+    fn count(mesh: &Mesh, step: f64) -> usize {
+        let rules = RoofRules { cell: 0.5, step, min_area: 10.0 };
+        let mut found = roof_pieces(mesh, DVec3::Z, &rules, |_| true).expect("a good cell");
+        found.sort_unstable();
+        found.dedup();
+        found.len()
+    }
+
+    #[test]
+    fn a_row_of_houses_is_parted_at_steps_but_not_at_ridges_or_chimneys() {
+        // Three houses 6 m wide under one long gable, the middle one 0.7 m higher, with a chimney on a party wall.
+        let height = |x: f64, y: f64| {
+            if (5.6..6.4).contains(&x) && (2.0..3.0).contains(&y) {
+                return Some(10.0);
+            }
+            let base = if (6.0..12.0).contains(&x) { 5.7 } else { 5.0 };
+            Some(base + 2.5 - 0.6 * (y - 4.5).abs())
+        };
+        let mesh = town(18, 9, height);
+        assert_eq!(count(&mesh, 0.45), 3);
+        assert_eq!(count(&mesh, f64::INFINITY), 1);
+    }
+
+    #[test]
+    fn gaps_part_houses_and_boxes_on_roofs_do_not() {
+        let height = |x: f64, y: f64| match (x, y) {
+            (x, _) if (8.0..10.0).contains(&x) => None,
+            (x, y) if (2.0..6.0).contains(&x) && (2.0..6.0).contains(&y) => Some(9.0),
+            _ => Some(6.0),
+        };
+        assert_eq!(count(&town(18, 8, height), 0.5), 2);
+        assert!(
+            roof_pieces(&Mesh::default(), DVec3::Z, &RoofRules { cell: 0.0, step: 1.0, min_area: 1.0 }, |_| true)
+                .is_err()
+        );
+    }
+}
