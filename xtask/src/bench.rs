@@ -1,6 +1,7 @@
 //! `cargo x bench`: the CPU backend's iteration, appended to `benchmarks/results.json` with commit and machine.
 //!
-//! The example prints one line per case, as an object of JSON or in words; either is kept as it stands.
+//! The example prints one object of JSON per case. Words after `bench` go to it; `--peer COMMAND` runs another program in
+//! the same session, before and after ours, and keeps what it prints: a ratio is only as good as its two machines are one.
 
 use std::path::Path;
 
@@ -10,15 +11,20 @@ use crate::steps::output_of;
 
 const RESULTS: &str = "benchmarks/results.json";
 
-pub(crate) fn run(root: &Path) -> Result<()> {
-    let words = ["run", "--release", "--locked", "-p", "pgsag-splat", "--example", "iteration"];
-    println!("$ cargo {}", words.join(" "));
-    let printed = output_of(root, "cargo", &words)?;
+pub(crate) fn run(root: &Path, words: &[String]) -> Result<()> {
+    let (peer, passed) = peer_of(words)?;
+    let theirs_before = printed_by_peer(root, peer)?;
+    let mut arguments = vec!["run", "--release", "--locked", "-p", "pgsag-splat", "--example", "iteration", "--"];
+    arguments.extend(passed);
+    println!("$ cargo {}", arguments.join(" "));
+    let printed = output_of(root, "cargo", &arguments)?;
     print!("{printed}");
-    let cases = cases(&printed);
-    if cases.is_empty() {
+    let theirs_after = printed_by_peer(root, peer)?;
+    let ours = cases(&printed);
+    if ours.is_empty() {
         return Err("the example `iteration` printed nothing".into());
     }
+    let all = [cases(&theirs_before), ours, cases(&theirs_after)].concat();
     let commit = output_of(root, "git", &["describe", "--always", "--dirty"])?;
     let path = root.join(RESULTS);
     let before = if path.exists() {
@@ -26,11 +32,35 @@ pub(crate) fn run(root: &Path) -> Result<()> {
     } else {
         "[]".to_owned()
     };
-    let after = appended(&before, record(commit.trim(), &machine(), cases))?;
+    let after = appended(&before, record(commit.trim(), &machine(), all))?;
     std::fs::create_dir_all(root.join("benchmarks")).map_err(|cause| format!("benchmarks: {cause}"))?;
     std::fs::write(&path, after).map_err(|cause| format!("{RESULTS}: {cause}"))?;
     println!("appended to {RESULTS}");
     Ok(())
+}
+
+/// The peer's command, if there is one, and the words for our example.
+fn peer_of(words: &[String]) -> Result<(Option<&str>, Vec<&str>)> {
+    let (mut peer, mut passed) = (None, Vec::new());
+    let mut words = words.iter().map(String::as_str);
+    while let Some(word) = words.next() {
+        if word == "--peer" {
+            peer = Some(words.next().ok_or("--peer wants a command")?);
+        } else {
+            passed.push(word);
+        }
+    }
+    Ok((peer, passed))
+}
+
+/// Lines of JSON that the peer prints; what else it says is dropped.
+fn printed_by_peer(root: &Path, command: Option<&str>) -> Result<String> {
+    let Some(command) = command else { return Ok(String::new()) };
+    println!("$ {command}");
+    let printed = output_of(root, "sh", &["-c", command])?;
+    let lines: String = printed.lines().filter(|line| line.starts_with('{')).map(|line| format!("{line}\n")).collect();
+    print!("{lines}");
+    Ok(lines)
 }
 
 fn cases(printed: &str) -> Vec<Json> {
@@ -74,6 +104,13 @@ mod tests {
         let found = cases("{\"ms\": 3.5}\n\n20000 Gaussians: 9 ms\n");
         assert_eq!(found[0].get("ms"), Some(&Json::Number("3.5".into())));
         assert_eq!(found[1].text(), Some("20000 Gaussians: 9 ms"));
+    }
+
+    #[test]
+    fn the_peer_is_told_from_our_own_words() {
+        let words = ["--rounds", "4", "--peer", "./other x"].map(String::from);
+        assert_eq!(peer_of(&words), Ok((Some("./other x"), vec!["--rounds", "4"])));
+        assert!(peer_of(&words[..3]).is_err());
     }
 
     #[test]

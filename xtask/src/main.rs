@@ -28,7 +28,7 @@ cargo x ci         all that the server checks: fmt, tidy, ledger, licences, clip
 cargo x tidy       the house rules: arrows between rooms, file lengths, headers, unfinished marks
 cargo x ledger     docs/paper.md: every equation names a living function and a living test
 cargo x licences   every dependency's licence against the list in deny.toml
-cargo x bench      measure the CPU backend, append to benchmarks/results.json
+cargo x bench      measure the CPU backend, append to benchmarks/results.json (options: benchmarks/README.md)
 cargo x corrupt-masks MASKS OUT   masks made worse on purpose, always alike, to see what refinement mends
 cargo x town       reconstruct the demo town, print where its report lies
 cargo x release    the release checklist";
@@ -42,7 +42,7 @@ fn main() -> ExitCode {
         "tidy" => tidy::run(&root),
         "ledger" => ledger::run(&root),
         "licences" => licences::run(&root),
-        "bench" => bench::run(&root),
+        "bench" => bench::run(&root, &std::env::args().skip(2).collect::<Vec<_>>()),
         "corrupt-masks" => chores::corrupt_masks(&root, std::env::args().skip(2)),
         "town" => chores::town(&root),
         "release" => chores::release(&root),
