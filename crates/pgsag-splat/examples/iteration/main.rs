@@ -11,7 +11,7 @@ mod measure;
 mod report;
 mod scene;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, btree_map::Entry};
 use std::path::PathBuf;
 
 use pgsag_splat::cpu::SimdLevel;
@@ -121,8 +121,8 @@ fn arguments() -> Result<Option<Arguments>, Failure> {
 fn measured(arguments: &Arguments, cases: &[Case]) -> Result<Vec<Bench>, Failure> {
     let mut clouds = BTreeMap::new();
     for case in cases {
-        if !clouds.contains_key(&case.gaussians) {
-            clouds.insert(case.gaussians, synthetic_cloud(case.gaussians)?);
+        if let Entry::Vacant(free) = clouds.entry(case.gaussians) {
+            free.insert(synthetic_cloud(case.gaussians)?);
         }
     }
     let scene = |case: &Case| Scene::synthetic(clouds[&case.gaussians].clone(), case.size);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use pgsag_scene::files::{colmap, raster};
 use pgsag_scene::{Image, Mask, Pinhole, PixelClass, View, numbers::SplitMix64};
 use pgsag_splat::backend::{Backend, OptimizerState, RenderOptions, ViewCamera};
-use pgsag_splat::cloud::SplatCloud;
+use pgsag_splat::cloud::{SplatCloud, curve_order};
 use pgsag_splat::cpu::{Cpu, CpuOptions};
 
 use crate::Failure;
@@ -35,6 +35,7 @@ impl Scene {
 
     /// A cloud of a scene in COLMAP's layout, seen by the named image and by the one whose camera is nearest.
     pub(crate) fn trained(cloud: SplatCloud, folder: &Path, image: &str, shrink: u32) -> Result<Self, Failure> {
+        let cloud = cloud.reordered(&curve_order(&cloud.means));
         let views = views(folder)?;
         let first = views.iter().find(|view| view.name == image);
         let first = first.ok_or_else(|| format!("{}: no image {image}", folder.display()))?;
@@ -109,7 +110,9 @@ pub(crate) fn synthetic_cloud(count: usize) -> Result<SplatCloud, Failure> {
     for _ in 0..4 {
         size *= (OVERLAP / overlap(cloud(count, size))?).sqrt();
     }
-    Ok(cloud(count, size))
+    // As the trainer keeps it.
+    let cloud = cloud(count, size);
+    Ok(cloud.reordered(&curve_order(&cloud.means)))
 }
 
 /// Entries blended per pixel of [`SMALL`].
