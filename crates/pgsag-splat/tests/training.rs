@@ -168,7 +168,12 @@ fn multiplied(views: &[TrainingView]) -> Vec<u32> {
         seed: 0,
         iteration: 0,
     };
-    let options = DensityOptions { gradient: 5e-6, absolute_gradient: f32::INFINITY, ..DensityOptions::default() };
+    let options = DensityOptions {
+        gradient: 5e-6,
+        max_growth: 1.0,
+        absolute_gradient: f32::INFINITY,
+        ..DensityOptions::default()
+    };
     let mut parents: Vec<u32> = plan_density(&input, &options).births.iter().map(|birth| birth.parent).collect();
     parents.dedup();
     parents

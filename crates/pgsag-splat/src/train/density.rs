@@ -40,6 +40,9 @@ pub struct DensityOptions {
     pub prune_size: f32,
     /// Gaussians fainter than this die. 3DGS: 0.005, PG-SAG: 0.05.
     pub opacity_cull: f32,
+    /// A decision adds at most this share of the Gaussians, those with the largest gradients: while colours are still
+    /// unlearnt nearly all of them ask. 3DGS-MCMC: 0.05.
+    pub max_growth: f32,
     /// Never more Gaussians than this; from a memory budget.
     pub max_gaussians: usize,
     /// Iterations between multi-view trims, 0 for none. PGSR: 1000.
@@ -68,6 +71,7 @@ impl Default for DensityOptions {
             min_size_px: 0.7,
             prune_size: 100.0,
             opacity_cull: 0.02,
+            max_growth: 0.05,
             max_gaussians: 6_000_000,
             trim_interval: 1000,
             trim_until: 0.7,
@@ -124,7 +128,8 @@ pub fn plan_density(input: &DensityInput<'_>, options: &DensityOptions) -> Densi
     let mut wishes = growth_wishes(input, &dead, options);
     let alive = dead.iter().filter(|dead| !**dead).count();
     // A clone and a split each add one Gaussian.
-    let room = options.max_gaussians.saturating_sub(alive);
+    let most = (f64::from(options.max_growth) * alive as f64).ceil() as usize;
+    let room = options.max_gaussians.saturating_sub(alive).min(most);
     if wishes.len() > room {
         wishes.sort_unstable_by(|a, b| b.2.total_cmp(&a.2).then(a.0.cmp(&b.0)));
         wishes.truncate(room);

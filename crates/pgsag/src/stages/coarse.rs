@@ -125,7 +125,7 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let points = imported.scene.points.len() as u64 + stereo / 20;
     let cost = Cost {
         memory_bytes: (128 << 20) + 400 * points + 16 * largest + dense::HELD_BYTES,
-        disk_bytes: 64 * points + 20 * stereo,
+        disk_bytes: 64 * points + 8 * stereo,
         cpu_secs: 1.0 + stereo as f64 * STEREO_SECS_PER_PIXEL,
     };
     Ok(JobPlan::whole(&["import"], cost))

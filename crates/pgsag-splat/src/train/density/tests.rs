@@ -25,7 +25,7 @@ fn plan(cloud: &SplatCloud, camera: &ViewCamera) -> DensityPlan {
     let footprints = footprints(&cloud.means, std::slice::from_ref(camera));
     let input =
         DensityInput { cloud, statistics: &statistics, footprints: &footprints, cull: true, seed: 1, iteration: 100 };
-    plan_density(&input, &DensityOptions { gradient: 0.1, ..DensityOptions::default() })
+    plan_density(&input, &DensityOptions { gradient: 0.1, max_growth: 1.0, ..DensityOptions::default() })
 }
 
 #[test]
@@ -76,7 +76,7 @@ fn decide(
 
 #[test]
 fn small_ones_are_cloned_and_large_ones_split() {
-    let options = DensityOptions { gradient: 1.0, ..DensityOptions::default() };
+    let options = DensityOptions { gradient: 1.0, max_growth: 1.0, ..DensityOptions::default() };
     let made = decide(&three([2.0, 2.0, 0.5], [0.8, 3.0, 3.0]), &options);
     assert_eq!(made.keep, vec![0, 2]);
     assert_eq!(made.births.iter().map(|b| b.parent).collect::<Vec<_>>(), vec![0, 1, 1]);
@@ -87,7 +87,7 @@ fn small_ones_are_cloned_and_large_ones_split() {
 
 #[test]
 fn what_the_photographs_cannot_tell_apart_does_not_multiply() {
-    let options = DensityOptions { gradient: 1.0, ..DensityOptions::default() };
+    let options = DensityOptions { gradient: 1.0, max_growth: 1.0, ..DensityOptions::default() };
     let mut scene = three([2.0; 3], [0.5, 0.5, 3.0]);
     scene.2 = vec![Footprint { depth: 1000.0, focal_px: 1000.0 }; 3];
     assert_eq!(decide(&scene, &options).births.iter().map(|b| b.parent).collect::<Vec<_>>(), vec![2, 2]);
@@ -115,11 +115,14 @@ fn faint_and_huge_ones_die_unless_a_reset_is_fresh() {
 
 #[test]
 fn a_full_budget_takes_the_steepest() {
-    let options = DensityOptions { gradient: 1.0, max_gaussians: 4, ..DensityOptions::default() };
+    let options = DensityOptions { gradient: 1.0, max_growth: 1.0, max_gaussians: 4, ..DensityOptions::default() };
     let made = decide(&three([2.0, 9.0, 5.0], [0.8; 3]), &options);
     assert_eq!(made.keep.len() + made.births.len(), 4);
     assert_eq!(made.births[0].parent, 1);
     let none = decide(&three([2.0, 9.0, 5.0], [0.8; 3]), &DensityOptions { max_gaussians: 2, ..options });
+    let third = DensityOptions { max_gaussians: 100, max_growth: 0.33, ..options };
+    let strongest = decide(&three([2.0, 9.0, 5.0], [0.8; 3]), &third).births;
+    assert_eq!(strongest.iter().map(|birth| birth.parent).collect::<Vec<_>>(), [1], "a third of three");
     assert!(none.births.is_empty());
 }
 

@@ -5,7 +5,7 @@ use crate::train::density::DensityOptions;
 fn options() -> TrainOptions {
     TrainOptions {
         iterations: 500,
-        density: DensityOptions { gradient: 1e-3, trim_interval: 200, ..DensityOptions::default() },
+        density: DensityOptions { gradient: 1e-3, max_growth: 1.0, trim_interval: 200, ..DensityOptions::default() },
         ..TrainOptions::default()
     }
 }

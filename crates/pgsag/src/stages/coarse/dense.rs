@@ -9,7 +9,6 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
 use glam::DVec3;
-use pgsag_scene::files::map::{decode_map, encode_map};
 use pgsag_scene::numbers::{median, quantile};
 use pgsag_scene::{Map, Pinhole, Scene, SparsePoint, TrackElement};
 use pgsag_splat::stereo::{Prior, StereoDepth, StereoView, SurfacePoint, confirmed, estimate, lift, thin_points};
@@ -160,7 +159,7 @@ impl Survey<'_, '_> {
                 let found = self.matched(at, &seeds[index])?;
                 std::fs::create_dir_all(path.parent().context("a cache folder")?)?;
                 artifact::write_whole(&path, &spilled(&found))?;
-                found
+                rounded(&found)
             }
         };
         let found = Arc::new(found);
@@ -257,7 +256,7 @@ impl Survey<'_, '_> {
         let count = self.config.coarse.neighbor_count as usize;
         let mut involved = vec![at];
         involved.extend(self.neighbors[at].iter().take(count).map(|neighbor| neighbor.view as usize));
-        let mut words = vec![format!("stereo 2 {:?} {seeds:?} {at}", self.config.coarse.matching)];
+        let mut words = vec![format!("stereo 3 {:?} {seeds:?} {at}", self.config.coarse.matching)];
         for position in involved {
             let index = self.view_indices[position] as usize;
             let view = &self.imported.scene.views[index];
@@ -279,14 +278,16 @@ fn nothing(camera: &Pinhole) -> StereoDepth {
     }
 }
 
-/// Two maps, each with its length before it: depth with cost, and normals.
+/// Steps of cost, and of a direction's two coordinates on the octahedron, in the cache.
+const COST_STEP: f32 = 2.0 / 255.0;
+const NORMAL_STEPS: f32 = 2047.0;
+
+/// Width and height, all depths, then per pixel a word of cost (8 bits) and normal (12 + 12): 8 bytes a pixel, and the
+/// hash of it all.
 fn spilled(found: &StereoDepth) -> Vec<u8> {
-    let pairs = found.depth.values.iter().zip(&found.cost.values).map(|(depth, cost)| [*depth, *cost]).collect();
-    let both = encode_map(&Map { width: found.depth.width, height: found.depth.height, values: pairs });
-    let normal = encode_map(&found.normal);
-    let mut bytes = (both.len() as u64).to_le_bytes().to_vec();
-    bytes.extend_from_slice(&both);
-    bytes.extend_from_slice(&normal);
+    let mut bytes: Vec<u8> = [found.depth.width, found.depth.height].iter().flat_map(|n| n.to_le_bytes()).collect();
+    bytes.extend(found.depth.values.iter().flat_map(|z| z.to_le_bytes()));
+    bytes.extend(found.cost.values.iter().zip(&found.normal.values).flat_map(|(c, n)| packed(*c, *n).to_le_bytes()));
     bytes.extend_from_slice(blake3::hash(&bytes).as_bytes());
     bytes
 }
@@ -297,17 +298,52 @@ fn read_spilled(path: &std::path::Path, camera: &Pinhole) -> Option<StereoDepth>
     if blake3::hash(body).as_bytes() != hash {
         return None;
     }
-    let (length, maps) = body.split_first_chunk::<8>()?;
-    let (both, normal) = maps.split_at_checked(u64::from_le_bytes(*length) as usize)?;
-    let both: Map<[f32; 2]> = decode_map("cache", both).ok()?;
-    let normal: Map<[f32; 3]> = decode_map("cache", normal).ok()?;
-    let (width, height) = (camera.width, camera.height);
-    let is_ours = (both.width, both.height) == (width, height) && (normal.width, normal.height) == (width, height);
-    is_ours.then(|| StereoDepth {
-        depth: Map { width, height, values: both.values.iter().map(|pair| pair[0]).collect() },
-        normal,
-        cost: Map { width, height, values: both.values.iter().map(|pair| pair[1]).collect() },
+    unspilled(body, camera)
+}
+
+fn unspilled(body: &[u8], camera: &Pinhole) -> Option<StereoDepth> {
+    let (words, _) = body.as_chunks::<4>();
+    let (size, values) = words.split_at_checked(2)?;
+    let (width, height) = (u32::from_le_bytes(size[0]), u32::from_le_bytes(size[1]));
+    if (width, height) != (camera.width, camera.height) || values.len() != 2 * camera.pixel_count() {
+        return None;
+    }
+    let (depth, packed) = values.split_at(camera.pixel_count());
+    let (cost, normal) = packed.iter().map(|word| unpacked(u32::from_le_bytes(*word))).unzip();
+    Some(StereoDepth {
+        depth: Map { width, height, values: depth.iter().map(|z| f32::from_le_bytes(*z)).collect() },
+        normal: Map { width, height, values: normal },
+        cost: Map { width, height, values: cost },
     })
+}
+
+/// What is found, as it comes back from the cache: a run that goes on computes with the same numbers as one that never
+/// stopped.
+fn rounded(found: &StereoDepth) -> StereoDepth {
+    let (cost, normal) =
+        found.cost.values.iter().zip(&found.normal.values).map(|(c, n)| unpacked(packed(*c, *n))).unzip();
+    let (width, height) = (found.depth.width, found.depth.height);
+    let normal = Map { width, height, values: normal };
+    StereoDepth { depth: found.depth.clone(), normal, cost: Map { width, height, values: cost } }
+}
+
+fn packed(cost: f32, normal: [f32; 3]) -> u32 {
+    let length = normal.iter().map(|n| n.abs()).sum::<f32>().max(1e-20);
+    let [x, y, z] = normal.map(|n| n / length);
+    let fold = |a: f32, b: f32| if z < 0.0 { (1.0 - b.abs()).copysign(a) } else { a };
+    let step = |v: f32| ((v + 1.0) * NORMAL_STEPS + 0.5).clamp(0.0, 4095.0) as u32;
+    let cost = (cost / COST_STEP + 0.5).clamp(0.0, 255.0) as u32;
+    (cost << 24) | (step(fold(x, y)) << 12) | step(fold(y, x))
+}
+
+fn unpacked(word: u32) -> (f32, [f32; 3]) {
+    let value = |bits: u32| (bits & 0xfff) as f32 / NORMAL_STEPS - 1.0;
+    let (x, y) = (value(word >> 12), value(word));
+    let z = 1.0 - x.abs() - y.abs();
+    let fold = |a: f32, b: f32| if z < 0.0 { (1.0 - b.abs()).copysign(a) } else { a };
+    let normal = [fold(x, y), fold(y, x), z];
+    let length = normal.iter().map(|n| n * n).sum::<f32>().sqrt();
+    ((word >> 24) as f32 * COST_STEP, normal.map(|n| n / length))
 }
 
 #[cfg(test)]
@@ -319,6 +355,13 @@ mod tests {
         let camera = Pinhole { width: 3, height: 2, fx: 1.0, fy: 1.0, cx: 1.5, cy: 1.0 };
         let mut found = nothing(&camera);
         found.depth.set(1, 1, 4.5);
+        found.normal.set(2, 0, [0.36, 0.48, -0.8]);
+        found.cost.set(2, 1, 0.25);
+        let exact = found.normal.at(2, 0);
+        found = rounded(&found);
+        let off: f32 = exact.iter().zip(found.normal.at(2, 0)).map(|(a, b)| (a - b).abs()).sum();
+        assert!(off < 2e-3 && (found.cost.at(2, 1) - 0.25).abs() < 4e-3, "{off}");
+        assert_eq!(rounded(&found), found, "rounding twice changes nothing");
         let folder = tempfile::tempdir().expect("temporary folder");
         let path = folder.path().join("a.stereo");
         let mut bytes = spilled(&found);
