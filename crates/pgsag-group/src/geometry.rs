@@ -38,8 +38,8 @@ impl Default for GeometryOptions {
             min_width_m: 2.0,
             max_width_m: 60.0,
             max_slope: 0.15,
-            max_vegetation: 0.5,
-            min_smooth_share: 0.5,
+            max_vegetation: 0.8,
+            min_smooth_share: 0.3,
         }
     }
 }
@@ -76,6 +76,12 @@ const ROUGH_M: [f64; 2] = [0.15, 0.5];
 const SCATTER: [f64; 2] = [0.12, 0.4];
 /// What greenness, roughness and scatter count.
 const WEIGHTS: [f64; 3] = [0.6, 0.5, 0.3];
+/// Share of the least height that the surface falls at the edge of a building …
+const EDGE_DROP: f64 = 0.6;
+/// … within so many cells …
+const EDGE_CELLS: i64 = 3;
+/// … along this share of what is seen of the edge: terrain that rises slowly is no building.
+const MIN_EDGE_SHARE: f64 = 0.35;
 /// Points lower than this above the ground are ground, metres.
 const FOOT_M: f64 = 0.4;
 /// Bumps of the ground, metres.
@@ -101,9 +107,13 @@ pub fn find(points: &Points<'_>, frame: &PlanFrame, options: &GeometryOptions, u
     let area = (ground.grid.cell / units_per_metre).powi(2);
     let (mut is_building, mut buildings, mut others) = (vec![false; ground.grid.len()], 0, 0);
     for piece in pieces(&ground.grid, &smooth) {
-        let is_smooth = |cell: &&usize| roofs.vegetation[**cell] < 0.5 * options.max_vegetation;
+        let is_smooth = |cell: &&usize| roofs.vegetation[**cell] < 0.6 * options.max_vegetation;
         let smooth_share = piece.iter().filter(is_smooth).count() as f64 / piece.len() as f64;
-        if piece.len() as f64 * area >= options.min_area_m2 && smooth_share >= options.min_smooth_share {
+        let is_steep = roofs
+            .edge_share(&ground.grid, &piece, EDGE_DROP * options.min_height_m * units_per_metre)
+            .is_some_and(|share| share >= MIN_EDGE_SHARE);
+        let is_large = piece.len() as f64 * area >= options.min_area_m2;
+        if is_large && is_steep && smooth_share >= options.min_smooth_share {
             piece.iter().for_each(|cell| is_building[*cell] = true);
             buildings += 1;
         }
@@ -223,6 +233,29 @@ impl Roofs {
         let is_roof =
             (0..grid.len()).map(|cell| is_raised[cell] && vegetation[cell] <= options.max_vegetation).collect();
         Self { top, vegetation, is_raised, is_roof }
+    }
+
+    /// Share of the places a few cells beyond a piece's edge where the surface lies lower by `drop`, of those where there is
+    /// any; `None` where nothing is seen around the piece.
+    fn edge_share(&self, grid: &PlanGrid, piece: &[usize], drop: f64) -> Option<f64> {
+        let mut is_own = vec![false; grid.len()];
+        piece.iter().for_each(|cell| is_own[*cell] = true);
+        let (mut known, mut steep) = (0u32, 0u32);
+        for &cell in piece.iter().filter(|cell| grid.around(**cell).any(|other| !is_own[other])) {
+            let (x, y) = ((cell % grid.columns) as i64, (cell / grid.columns) as i64);
+            for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
+                let (u, v) = (x + EDGE_CELLS * dx, y + EDGE_CELLS * dy);
+                if u < 0 || v < 0 || u >= grid.columns as i64 || v >= grid.rows as i64 {
+                    continue;
+                }
+                let other = v as usize * grid.columns + u as usize;
+                if !is_own[other] && self.top[other].is_finite() {
+                    known += 1;
+                    steep += u32::from(self.top[cell] - self.top[other] >= drop);
+                }
+            }
+        }
+        (known > 0).then(|| f64::from(steep) / f64::from(known))
     }
 
     /// Points above the ground in a building's cell, or beside one below its roof (facades), are the building's.

@@ -59,9 +59,11 @@ pub fn background_classes(building: &Map<bool>, options: &RefineOptions) -> Mask
     })
 }
 
-/// Least share of a superpixel's drawn pixels that must come from points which this very view has measured: what shows
-/// through a hole in a facade without points, the garden behind the house, was measured by others alone.
-const MIN_WITNESSED: f32 = 0.08;
+/// Least share of the drawn pixels of one label, in a square of a few superpixels, that must come from points which this
+/// very view has measured: what shows through a hole in a facade, the garden behind the house, was measured by others.
+const MIN_WITNESSED: f32 = 0.02;
+/// Side of that square, superpixels.
+const WITNESS_SUPERPIXELS: u32 = 4;
 
 /// How the points of one view are drawn.
 #[derive(Clone, Copy)]
@@ -85,30 +87,68 @@ pub fn drawn_labels(drawing: &Drawing<'_>, image: &Image, options: &RefineOption
     let (width, height) = (seen.point.width, seen.point.height);
     let small = Map { width, height, values: seen.point.values.iter().map(|point| label(*point)).collect() };
     let mut drawn = small.resized_nearest(image.width, image.height);
-    let patches = superpixels(image, options.superpixel_px);
     let witness = |point: &u32| *point != NO_POINT && is_witnessed(*point);
     let witnessed = Map { width, height, values: seen.point.values.iter().map(witness).collect() };
     let witnessed = witnessed.resized_nearest(image.width, image.height);
-    let mut counts = vec![[0f32; 4]; patches.count];
-    for ((patch, label), is_witnessed) in patches.label.values.iter().zip(&drawn.values).zip(&witnessed.values) {
+    silence(&mut drawn, &witnessed, WITNESS_SUPERPIXELS * options.superpixel_px.max(1));
+    let patches = superpixels(image, options.superpixel_px);
+    let mut counts = vec![[0f32; 3]; patches.count];
+    for (patch, label) in patches.label.values.iter().zip(&drawn.values) {
         counts[*patch as usize][*label as usize] += 1.0;
-        counts[*patch as usize][3] += f32::from(u8::from(*is_witnessed && *label != Label::Unknown));
     }
     for (patch, label) in patches.label.values.iter().zip(&mut drawn.values) {
-        let [unknown, background, building, witnessed] = counts[*patch as usize];
+        let [unknown, background, building] = counts[*patch as usize];
         let known = background + building;
-        if witnessed < MIN_WITNESSED * known {
-            *label = Label::Unknown;
-        } else if known >= unknown && building.max(background) >= agreement * known {
+        if known >= unknown && building.max(background) >= agreement * known {
             *label = if building > background { Label::Building } else { Label::Background };
         }
     }
     drawn
 }
 
+/// Makes labels unknown in squares where hardly any of their points was measured by the view itself.
+fn silence(drawn: &mut Map<Label>, witnessed: &Map<bool>, side: u32) {
+    let columns = drawn.width.div_ceil(side);
+    let width = drawn.width;
+    let square = |at: usize| ((at as u32 / width / side) * columns + at as u32 % width / side) as usize;
+    let mut counts = vec![[[0f32; 2]; 3]; (columns * drawn.height.div_ceil(side)) as usize];
+    for (at, (label, is_witnessed)) in drawn.values.iter().zip(&witnessed.values).enumerate() {
+        let count = &mut counts[square(at)][*label as usize];
+        count[0] += 1.0;
+        count[1] += f32::from(u8::from(*is_witnessed));
+    }
+    for (at, label) in drawn.values.iter_mut().enumerate() {
+        let [known, witnessed] = counts[square(at)][*label as usize];
+        if witnessed < MIN_WITNESSED * known {
+            *label = Label::Unknown;
+        }
+    }
+}
+
+/// A mask of which less than this share of the building is contradicted is right, and the points are wrong.
+const NOISE_SHARE: f64 = 0.025;
+/// One of which more is contradicted deserves little trust: half as wide contradictions count.
+const DISTRUST_SHARE: f64 = 0.06;
+
 /// A given mask, overruled where what is drawn contradicts it over more than twice `reach_px`.
 #[must_use]
 pub fn corrected(given: &Map<bool>, drawn: &Map<Label>, reach_px: f32) -> Map<bool> {
+    let building =
+        given.values.iter().zip(&drawn.values).filter(|(given, label)| **given || **label == Label::Building);
+    let building = building.count().max(1) as f64;
+    let change = contradicted(given, drawn, reach_px);
+    let share = change.iter().filter(|changes| **changes).count() as f64 / building;
+    let change = match share {
+        share if share < NOISE_SHARE => return given.clone(),
+        share if share > DISTRUST_SHARE => contradicted(given, drawn, 0.5 * reach_px),
+        _ => change,
+    };
+    let values = given.values.iter().zip(&change).map(|(given, changes)| given != changes).collect();
+    Map { width: given.width, height: given.height, values }
+}
+
+/// `[pixels]` where a contradiction is wider than twice `reach_px`.
+fn contradicted(given: &Map<bool>, drawn: &Map<Label>, reach_px: f32) -> Vec<bool> {
     let (width, height) = (given.width, given.height);
     let contradicts = |(given, label): (&bool, &Label)| match label {
         Label::Unknown => false,
@@ -120,21 +160,22 @@ pub fn corrected(given: &Map<bool>, drawn: &Map<Label>, reach_px: f32) -> Map<bo
     let wide = signed_distance(&differs).values.into_iter().map(|d| d <= -reach_px).collect();
     let wide = Map { width, height, values: wide };
     let near = signed_distance(&wide);
-    let change = |at: usize| differs.values[at] && near.values[at] <= reach_px + 1.0;
-    Map { width, height, values: (0..given.values.len()).map(|at| given.values[at] != change(at)).collect() }
+    (0..given.values.len()).map(|at| differs.values[at] && near.values[at] <= reach_px + 1.0).collect()
 }
 
-/// A mask from what is drawn alone: gaps take the label of the nearest drawn pixel, specks and holes of fewer than
-/// `min_area_px` pixels go.
+/// A mask from what is drawn alone: gaps take the label of the nearest drawn pixel within `reach_px` steps, beyond which
+/// nothing is known and nothing is invented; specks and holes of fewer than `min_area_px` pixels go.
 #[must_use]
-pub fn mask_of_labels(drawn: &Map<Label>, min_area_px: usize) -> Map<bool> {
+pub fn mask_of_labels(drawn: &Map<Label>, min_area_px: usize, reach_px: u32) -> Map<bool> {
     let mut filled = drawn.clone();
+    let mut steps = vec![0u32; filled.values.len()];
     let mut open: VecDeque<usize> =
         (0..filled.values.len()).filter(|at| filled.values[*at] != Label::Unknown).collect();
     while let Some(at) = open.pop_front() {
         for other in beside(&filled, at) {
-            if filled.values[other] == Label::Unknown {
+            if filled.values[other] == Label::Unknown && steps[at] < reach_px {
                 filled.values[other] = filled.values[at];
+                steps[other] = steps[at] + 1;
                 open.push_back(other);
             }
         }
@@ -235,6 +276,11 @@ mod tests {
         let mask = corrected(&given, &drawn, 3.0);
         let row: Vec<bool> = [9, 10, 29, 30, 41].iter().map(|x| mask.at(*x, 20)).collect();
         assert_eq!(row, [false, true, true, false, false]);
+        // A speck that the points alone see is not enough to doubt a mask.
+        let mut stray = Map::filled(60, 40, Label::Background);
+        (10..30).for_each(|y| (10..42).for_each(|x| stray.set(x, y, Label::Building)));
+        (0..4).for_each(|y| (0..4).for_each(|x| stray.set(x, y, Label::Building)));
+        assert_eq!(corrected(&given, &stray, 1.0), given);
     }
 
     #[test]
@@ -244,8 +290,10 @@ mod tests {
         (18..30).for_each(|x| drawn.set(x, 10, Label::Building));
         drawn.set(25, 15, Label::Background);
         drawn.set(26, 15, Label::Building);
-        let mask = mask_of_labels(&drawn, 20);
+        let mask = mask_of_labels(&drawn, 20, 100);
         assert!(!mask.at(5, 10) && mask.at(20, 3) && mask.at(29, 12));
+        let near = mask_of_labels(&drawn, 20, 4);
+        assert!(near.at(20, 8) && !near.at(20, 3));
     }
 
     #[test]

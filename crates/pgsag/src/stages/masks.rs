@@ -220,7 +220,8 @@ fn by_geometry(
         let labels = &found.labels;
         let drawing = Drawing { seen: &seen, labels, is_witnessed: &is_witnessed, agreement: AGREEMENT };
         let drawn = drawn_labels(&drawing, photographs.whole(view)?.as_ref(), &config.refine);
-        let mask = mask_of_labels(&drawn, (SPECK_SUPERPIXELS * config.refine.superpixel_px.pow(2)) as usize);
+        let side = config.refine.superpixel_px;
+        let mask = mask_of_labels(&drawn, (SPECK_SUPERPIXELS * side.pow(2)) as usize, GAP_SUPERPIXELS * side);
         write(&job.output().join(view_file(view, "mask.png")), &encode_mask_png(&mask))?;
         job.advance(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1, views.len() as u64, "masks");
         Ok((view, if mask.values.contains(&true) { MaskState::Buildings } else { MaskState::Empty }))
@@ -230,6 +231,8 @@ fn by_geometry(
 
 /// Share of a superpixel's points that must agree for it to follow them as one.
 const AGREEMENT: f32 = 0.6;
+/// Gaps between points are filled as far as so many superpixels.
+const GAP_SUPERPIXELS: u32 = 4;
 /// Patches of a mask smaller than this many superpixels are specks.
 const SPECK_SUPERPIXELS: u32 = 2;
 

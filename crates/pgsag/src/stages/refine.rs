@@ -120,7 +120,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
 }
 
 /// Share of a superpixel's points that must agree to overrule a mask as one.
-const SURE_AGREEMENT: f32 = 0.85;
+const SURE_AGREEMENT: f32 = 0.8;
 
 /// Draws the voted points into images.
 struct Pencil<'a> {
