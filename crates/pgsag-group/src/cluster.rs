@@ -265,7 +265,7 @@ impl<'a> Links<'a> {
             before += points[at] as f64;
             broken += change[at];
             let share = before / total;
-            if share >= MIN_SIDE && share <= 1.0 - MIN_SIDE {
+            if (MIN_SIDE..=1.0 - MIN_SIDE).contains(&share) {
                 let cost = (broken + 0.5) / (share * (1.0 - share));
                 if cost < best.0 {
                     best = (cost, low + (at + 1) as f64 * self.side);
