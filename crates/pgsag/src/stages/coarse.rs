@@ -106,7 +106,7 @@ impl Default for CoarseOptions {
             smallest_px: 200,
             largest_px: 1600,
             neighbor_count: 4,
-            cell_gsd: 3.0,
+            cell_gsd: 4.0,
             matching: StereoOptions::default(),
             check: CheckOptions::default(),
         }

@@ -35,7 +35,7 @@ pub struct SurfaceOptions {
 
 impl Default for SurfaceOptions {
     fn default() -> Self {
-        Self { voxel_gsd: 1.0, voxel_m: 0.0, tile_voxels: 512, tsdf: TsdfOptions::default() }
+        Self { voxel_gsd: 1.0, voxel_m: 0.0, tile_voxels: 1024, tsdf: TsdfOptions::default() }
     }
 }
 
