@@ -1,5 +1,6 @@
 //! `coarse`: points on everything, before anything is known of buildings: oriented, dense, from stereo, or the sparse points where stereo is switched off or finds little.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
@@ -23,7 +24,7 @@ pub(crate) use dense::stereo_camera;
 pub struct Coarse {
     /// Where they lie and who saw them.
     pub points: Vec<SparsePoint>,
-    /// `[points]` unit normals, world frame, or empty where none are known.
+    /// `[points]` unit normals, world frame, zero where one is not known; or empty where none is.
     pub normals: Vec<[f32; 3]>,
 }
 
@@ -67,6 +68,21 @@ impl Coarse {
     pub fn is_measured_by(&self, index: usize, view: usize) -> bool {
         let track = &self.points[index].track;
         track.is_empty() || track.iter().any(|seen| seen.view_index as usize == view)
+    }
+
+    /// These points, and those of `sparse` that are alone: none of these lies in their cell of width `reach` (scene
+    /// units) or in one beside it. What only two views or a large error vouch for is left out.
+    fn with_lonely(mut self, sparse: &[SparsePoint], reach: f64) -> Self {
+        let cell = |point: &SparsePoint| (point.position_world / reach).floor().as_i64vec3().to_array();
+        let taken: BTreeSet<[i64; 3]> = self.points.iter().map(cell).collect();
+        let is_lonely = |point: &SparsePoint| {
+            let [x, y, z] = cell(point);
+            let near = (0..27).map(|i| [x + i % 3 - 1, y + i / 3 % 3 - 1, z + i / 9 - 1]);
+            point.track.len() >= 3 && point.error_px <= MAX_ERROR_PX && !near.into_iter().any(|at| taken.contains(&at))
+        };
+        self.points.extend(sparse.iter().filter(|point| is_lonely(point)).cloned());
+        self.normals.resize(self.points.len(), [0.0; 3]);
+        self
     }
 
     /// The scene with these points in place of the sparse ones.
@@ -113,6 +129,10 @@ impl Default for CoarseOptions {
     }
 }
 
+/// Sparse points are alone where stereo found nothing within so many of its cells.
+const LONELY_CELLS: f64 = 4.0;
+/// Sparse points with a larger mean reprojection error are not believed without stereo.
+const MAX_ERROR_PX: f32 = 2.0;
 /// Processor seconds of stereo per pixel, with four neighbours.
 const STEREO_SECS_PER_PIXEL: f64 = 15e-6;
 
@@ -137,10 +157,39 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     if config.coarse.stereo {
         let dense = dense::surface(job, &imported, &config)?;
         if dense.points.len() > imported.scene.points.len() {
-            job.say(&format!("{} points on surfaces, found by stereo", dense.points.len()));
-            return job.write(&dense);
+            let found = dense.points.len();
+            let reach = LONELY_CELLS * dense::cell(&imported.scene, &config).unwrap_or(0.0);
+            let whole = if reach > 0.0 { dense.with_lonely(&imported.scene.points, reach) } else { dense };
+            let alone = whole.points.len() - found;
+            job.say(&format!(
+                "{found} points on surfaces, found by stereo; {alone} sparse ones where it found nothing"
+            ));
+            return job.write(&whole);
         }
         job.warn("stereo found fewer points than there are sparse ones; these are used instead");
     }
     job.write(&Coarse { points: imported.scene.points, normals: Vec::new() })
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use pgsag_scene::points::TrackElement;
+
+    use super::*;
+
+    #[test]
+    fn sparse_points_fill_what_stereo_left_open() {
+        let point = |x: f64, seen: u32, error_px: f32| SparsePoint {
+            position_world: DVec3::new(x, 0.5, 0.5),
+            color: [0; 3],
+            error_px,
+            track: (0..seen).map(|view_index| TrackElement { view_index, xy_px: [0.0; 2] }).collect(),
+        };
+        let dense = Coarse { points: vec![point(0.5, 2, 0.0)], normals: vec![[0.0, 0.0, 1.0]] };
+        let sparse = [point(1.5, 4, 0.5), point(5.5, 4, 0.5), point(9.5, 2, 0.5), point(13.5, 4, 2.5)];
+        let whole = dense.with_lonely(&sparse, 1.0);
+        assert_eq!(whole.points.iter().map(|point| point.position_world.x).collect::<Vec<_>>(), [0.5, 5.5]);
+        assert_eq!(whole.normals, [[0.0, 0.0, 1.0], [0.0; 3]]);
+    }
 }

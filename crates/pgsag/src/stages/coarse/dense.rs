@@ -63,7 +63,7 @@ pub(super) fn surface(job: &Job<'_>, imported: &Imported, config: &Config) -> Re
 }
 
 /// Cells are a few ground sampling distances of the training images wide.
-fn cell(scene: &Scene, config: &Config) -> Option<f64> {
+pub(super) fn cell(scene: &Scene, config: &Config) -> Option<f64> {
     let focal = |camera: &Pinhole| training_camera(camera, config.image_width).focal_px();
     let mut focals: Vec<f64> = scene.views.iter().map(|view| focal(&view.camera)).collect();
     Some(config.coarse.cell_gsd * scene.median_depth()? / median(&mut focals)?)
