@@ -14,10 +14,19 @@ pub(crate) fn town(root: &Path) -> Result<()> {
     Ok(())
 }
 
-pub(crate) fn corrupt_masks(root: &Path, folders: impl Iterator<Item = String>) -> Result<()> {
-    let folders: Vec<String> = folders.collect();
-    let mut words = vec!["run", "--release", "--locked", "-p", "pgsag", "--example", "masks", "--", "corrupt"];
-    words.extend(folders.iter().map(String::as_str));
+pub(crate) fn corrupt_masks(root: &Path, arguments: impl Iterator<Item = String>) -> Result<()> {
+    example(root, &["masks", "--", "corrupt"], arguments)
+}
+
+pub(crate) fn harden(root: &Path, arguments: impl Iterator<Item = String>) -> Result<()> {
+    example(root, &["harden", "--"], arguments)
+}
+
+fn example(root: &Path, name: &[&str], arguments: impl Iterator<Item = String>) -> Result<()> {
+    let arguments: Vec<String> = arguments.collect();
+    let mut words = vec!["run", "--release", "--locked", "-p", "pgsag", "--example"];
+    words.extend(name);
+    words.extend(arguments.iter().map(String::as_str));
     shell(root, "cargo", &words)
 }
 

@@ -30,6 +30,7 @@ cargo x ledger     docs/paper.md: every equation names a living function and a l
 cargo x licences   every dependency's licence against the list in deny.toml
 cargo x bench      measure the CPU backend, append to benchmarks/results.json (options: benchmarks/README.md)
 cargo x corrupt-masks MASKS OUT   masks made worse on purpose, always alike, to see what refinement mends
+cargo x harden SCENE OUT …  a judged scene made harder: off-centre crop, gains, pose noise, offset, fewer views
 cargo x town       reconstruct the demo town, print where its report lies
 cargo x release    the release checklist";
 
@@ -43,6 +44,7 @@ fn main() -> ExitCode {
         "ledger" => ledger::run(&root),
         "licences" => licences::run(&root),
         "bench" => bench::run(&root, &std::env::args().skip(2).collect::<Vec<_>>()),
+        "harden" => chores::harden(&root, std::env::args().skip(2)),
         "corrupt-masks" => chores::corrupt_masks(&root, std::env::args().skip(2)),
         "town" => chores::town(&root),
         "release" => chores::release(&root),
