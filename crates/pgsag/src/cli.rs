@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
 use serde_json::{Value, json};
 
-use crate::config::{self, Preset, Resolved, Typed};
+use crate::config::{self, ImageChoice, Preset, Resolved, Typed};
 
 /// Drone photographs of a city to clean, separate, measurable building meshes.
 #[derive(Debug, Parser)]
@@ -224,6 +224,9 @@ pub struct SettingArgs {
     /// Keep every Nth image out of training, for PSNR and SSIM.
     #[arg(long, value_name = "N")]
     pub holdout: Option<u32>,
+    /// Learn from half of the images only, by sorted name; the others are kept out as with --holdout.
+    #[arg(long, value_enum)]
+    pub images: Option<ImageChoice>,
     /// Reconstruct only inside this GeoJSON polygon (scene coordinates).
     #[arg(long, value_name = "POLYGON")]
     pub aoi: Option<PathBuf>,
@@ -274,6 +277,7 @@ impl SettingArgs {
             ("threads", number(self.threads)),
             ("memory_limit", text(&self.memory_limit)),
             ("holdout", number(self.holdout)),
+            ("images", self.images.and_then(|choice| serde_json::to_value(choice).ok())),
             ("aoi", path(&self.aoi)),
             ("until", text(&self.until)),
             ("engine", text(&self.engine)),

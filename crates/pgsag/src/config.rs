@@ -40,6 +40,20 @@ pub enum Preset {
     Paper,
 }
 
+/// Which images are learnt from. Two runs, one of the odd and one of the even images, share no photograph: how far their
+/// meshes lie apart says how sure either is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum ImageChoice {
+    /// All.
+    #[default]
+    All,
+    /// The first, third, fifth … by sorted name.
+    Odd,
+    /// The second, fourth, sixth … by sorted name.
+    Even,
+}
+
 /// Everything that can be set. The first part does not change any answer, but that a given memory limit says how large
 /// a group may be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,6 +86,8 @@ pub struct Config {
     pub simd: String,
     /// Every Nth image by sorted name is kept out of training; 0: none.
     pub holdout: u32,
+    /// `all`, `odd` or `even` by sorted name; the others are kept out of training.
+    pub images: ImageChoice,
     /// Metres in one unit of the scene; 0: as the scene's own files say.
     pub metres_per_unit: f64,
     /// A GeoJSON polygon in scene coordinates; empty: everything.
@@ -125,6 +141,7 @@ impl Default for Config {
             device: "auto".into(),
             simd: "auto".into(),
             holdout: 0,
+            images: ImageChoice::All,
             metres_per_unit: 0.0,
             aoi: String::new(),
             truth: String::new(),
@@ -159,6 +176,17 @@ impl Config {
                 Self { train: TrainOptions::paper(), initialise, ..standard }
             }
         }
+    }
+
+    /// Whether a view is kept out of training.
+    #[must_use]
+    pub fn is_held_out(&self, view_index: usize) -> bool {
+        let is_other_half = match self.images {
+            ImageChoice::All => false,
+            ImageChoice::Odd => !view_index.is_multiple_of(2),
+            ImageChoice::Even => view_index.is_multiple_of(2),
+        };
+        is_other_half || (self.holdout > 1 && view_index.is_multiple_of(self.holdout as usize))
     }
 
     /// As dotted keys, in one spelling per value.

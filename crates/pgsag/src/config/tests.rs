@@ -40,3 +40,14 @@ fn settings_survive_the_round_trip() {
     let config = Config { seed: 9, image_width: 640, ..Config::preset(Preset::Fast) };
     assert_eq!(Config::from_settings(&config.settings()).expect("ours"), config);
 }
+
+#[test]
+fn halves_share_no_image_and_leave_none_out() {
+    let half = |images| Config { images, ..Config::default() };
+    let (odd, even) = (half(ImageChoice::Odd), half(ImageChoice::Even));
+    assert!((0..9).all(|view| odd.is_held_out(view) != even.is_held_out(view)));
+    assert!(!odd.is_held_out(0), "the first image is odd");
+    assert!((0..9).all(|view| !Config::default().is_held_out(view)));
+    let both = Config { holdout: 4, ..odd };
+    assert_eq!((0..6).filter(|view| !both.is_held_out(*view)).collect::<Vec<_>>(), [2]);
+}

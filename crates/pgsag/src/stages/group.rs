@@ -174,12 +174,6 @@ pub fn finished_groups(run: &Run, groups: Vec<Group>, stage: &str) -> Result<Vec
     Ok(groups.into_iter().filter(|group| finished.contains(&group.id.to_string())).collect())
 }
 
-/// Whether a view is kept out of training.
-#[must_use]
-pub fn is_held_out(view_index: usize, holdout: u32) -> bool {
-    holdout > 1 && view_index.is_multiple_of(holdout as usize)
-}
-
 /// Marks halo pixels in a share's raster, above the class.
 const HALO_BIT: u16 = 4;
 
@@ -312,8 +306,7 @@ fn extent(scene: &Scene, groups: &[Group], config: &Config) -> Option<Extent> {
 /// Everything, in every view.
 fn whole_scene(scene: &Scene, points: Vec<u32>, used: &[bool], config: &Config) -> Option<Group> {
     let all = (0..scene.views.len()).filter(|view| used[*view]).map(|view| whole_view(scene, view, config));
-    let (held_out, views): (Vec<_>, Vec<_>) =
-        all.partition(|view| is_held_out(view.view_index as usize, config.holdout));
+    let (held_out, views): (Vec<_>, Vec<_>) = all.partition(|view| config.is_held_out(view.view_index as usize));
     let id = GroupId { kind: GroupKind::Building, number: 1 };
     let core_count = points.len();
     let origin_world = origin_of(scene, &points);

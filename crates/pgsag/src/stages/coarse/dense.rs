@@ -19,7 +19,6 @@ use crate::config::Config;
 use crate::photographs::{Photographs, training_camera};
 use crate::run::artifact;
 use crate::run::stage::Job;
-use crate::stages::group::is_held_out;
 use crate::stages::import::Imported;
 
 /// Grey images and depth maps held at once, bytes.
@@ -38,7 +37,7 @@ pub(crate) fn stereo_camera(camera: &Pinhole, config: &Config) -> Pinhole {
 pub(super) fn surface(job: &Job<'_>, imported: &Imported, config: &Config) -> Result<Coarse> {
     let scene = &imported.scene;
     let view_indices: Vec<u32> =
-        (0..scene.views.len()).filter(|view| !is_held_out(*view, config.holdout)).map(|view| view as u32).collect();
+        (0..scene.views.len()).filter(|view| !config.is_held_out(*view)).map(|view| view as u32).collect();
     let neighbors = neighbors_of(scene, &view_indices, &config.neighbors);
     let photographs = Photographs::new(imported, config, job, 0);
     let mut survey =

@@ -12,7 +12,7 @@ use pgsag_scene::{Map, Pinhole, Scene};
 use rayon::prelude::*;
 
 use super::divide::Division;
-use super::{is_held_out, is_trainable, write_share};
+use super::{is_trainable, write_share};
 use crate::config::Config;
 use crate::photographs::training_camera;
 use crate::run::stage::Job;
@@ -186,7 +186,7 @@ impl Patrol<'_, '_> {
         let (mut groups, mut lost) = (Vec::new(), 0);
         let mut numbers = std::collections::BTreeMap::new();
         for (number, (draft, views)) in drafts.into_iter().zip(seen).enumerate() {
-            let is_out = |view: &GroupView| is_held_out(view.view_index as usize, self.config.holdout);
+            let is_out = |view: &GroupView| self.config.is_held_out(view.view_index as usize);
             let (held_out, views): (Vec<_>, Vec<_>) = views.into_iter().partition(is_out);
             let views = best_views(views, self.config.groups.max_views);
             if !is_trainable(draft.core_count, views.len()) {
