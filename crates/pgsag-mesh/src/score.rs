@@ -1,5 +1,8 @@
 //! Precision, recall, F1 and distances of a mesh against the truth (contract, section 5; method, section 4).
 
+use std::collections::BTreeSet;
+
+use glam::DVec3;
 use pgsag_scene::Mesh;
 
 use crate::error::MeshError;
@@ -9,6 +12,7 @@ mod crop;
 mod edges;
 mod judge;
 mod options;
+mod panoptic;
 mod picture;
 mod published;
 mod sample;
@@ -17,6 +21,7 @@ mod surface;
 
 pub use align::{Similarity, icp};
 pub use options::{Align, BuildingScore, Distances, Protocol, Score, ScoreOptions, Spread, ThresholdScore, Truth};
+pub use panoptic::{Panoptic, off_buildings, panoptic};
 pub use picture::{accuracy_map, completeness_colors, distance_color};
 
 use judge::Known;
@@ -73,8 +78,22 @@ fn ours(
         completeness_m: stats::distances(&verdict.completeness, verdict.signed[1], options.mean_cap_m),
         per_building: stats::per_building(&verdict, options),
         left_out,
+        panoptic: identity(mesh, truth, options),
         ..Score::default()
     })
+}
+
+/// Buildings told apart in plan view, where both sides know some; those without a visible point are not judged.
+fn identity(mesh: &Mesh, truth: &Truth<'_>, options: &ScoreOptions) -> Option<Panoptic> {
+    let (scene, seen) = match truth {
+        Truth::Mesh(scene) => (scene, None),
+        Truth::Folder { scene, building, .. } => (scene, Some(building.iter().copied().collect::<BTreeSet<u32>>())),
+        Truth::Cloud(_) => return None,
+    };
+    let cell = options.plan_cell_m / options.metres_per_unit;
+    let is_judged = |building: u32| seen.as_ref().is_none_or(|seen| seen.contains(&building));
+    let found = panoptic(mesh, scene, DVec3::from(options.up), cell, is_judged)?;
+    Some(Panoptic { cell_m: options.plan_cell_m, ..found })
 }
 
 /// One verdict per threshold, since the clouds are thinned to it; distances are those of the smallest.

@@ -2,22 +2,19 @@
 //!
 //! `masks corrupt MASKS OUT [PX]`: of the masks in a folder 30 % are dilated by PX (15), 10 % say that there is no
 //! building, and each gets three false blobs beside its buildings; seeded, so always the same. `masks judge RUN TRUTH`:
-//! pixel IoU before and after refinement. `masks identity CITY.ply TRUTH`: panoptic quality in plan view.
+//! pixel IoU before and after refinement.
 #![expect(clippy::print_stdout, reason = "an example speaks on standard output")]
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use glam::DVec3;
 use pgsag::run::artifact::Artifact as _;
 use pgsag::stages::import::Imported;
 use pgsag_group::distance::signed_distance;
-use pgsag_scene::files::ply::read_mesh;
+use pgsag_scene::Map;
 use pgsag_scene::files::raster::{decode_mask, encode_mask_png};
 use pgsag_scene::numbers::SplitMix64;
-use pgsag_scene::{Map, Mesh};
 
 fn main() -> Result<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -28,8 +25,7 @@ fn main() -> Result<()> {
             corrupt(&path(1)?, &path(2)?, reach)
         }
         Some("judge") => judge(&path(1)?, &path(2)?),
-        Some("identity") => identity(&path(1)?, &path(2)?),
-        _ => bail!("use corrupt, judge or identity"),
+        _ => bail!("use corrupt or judge"),
     }
 }
 
@@ -121,69 +117,5 @@ fn judge(run: &Path, truth: &Path) -> Result<()> {
     }
     let iou = |sum: [u64; 2]| sum[0] as f64 / sum[1].max(1) as f64;
     println!("IoU of the masks {:.4}, refined {:.4}", iou(sums[0]), iou(sums[1]));
-    Ok(())
-}
-
-/// Side of a cell of plan view, metres.
-const CELL_M: f64 = 0.25;
-
-/// The building of the highest face over every cell; `z` is up in both.
-fn plan(mesh: &Mesh) -> BTreeMap<[i64; 2], u32> {
-    let mut found: BTreeMap<[i64; 2], (f64, u32)> = BTreeMap::new();
-    for face in 0..mesh.faces.len() {
-        let building = mesh.buildings.get(face).copied().unwrap_or(0);
-        let [a, b, c] = mesh.triangle(face).map(DVec3::from);
-        let steps = ((b - a).length().max((c - a).length()) / (0.5 * CELL_M)).ceil().clamp(1.0, 2000.0) as i32;
-        for i in 0..=steps {
-            for j in 0..=steps - i {
-                let (u, v) = (f64::from(i) / f64::from(steps), f64::from(j) / f64::from(steps));
-                let at = a + (b - a) * u + (c - a) * v;
-                let key = [(at.x / CELL_M).floor() as i64, (at.y / CELL_M).floor() as i64];
-                let best = found.entry(key).or_insert((at.z, building));
-                if at.z > best.0 {
-                    *best = (at.z, building);
-                }
-            }
-        }
-    }
-    found.into_iter().filter(|(_, (_, building))| *building > 0).map(|(key, (_, building))| (key, building)).collect()
-}
-
-fn identity(city: &Path, truth: &Path) -> Result<()> {
-    let load = |path: &Path| -> Result<Mesh> {
-        let (name, bytes) = read(path)?;
-        Ok(read_mesh(&name, &bytes)?)
-    };
-    let (found, truth) = (plan(&load(city)?), plan(&load(&truth.join("scene.ply"))?));
-    let areas = |cells: &BTreeMap<[i64; 2], u32>| {
-        let mut areas: BTreeMap<u32, usize> = BTreeMap::new();
-        cells.values().for_each(|building| *areas.entry(*building).or_default() += 1);
-        areas
-    };
-    let mut shared: BTreeMap<(u32, u32), usize> = BTreeMap::new();
-    for (key, building) in &found {
-        if let Some(true_building) = truth.get(key) {
-            *shared.entry((*building, *true_building)).or_default() += 1;
-        }
-    }
-    let (found_areas, truth_areas) = (areas(&found), areas(&truth));
-    let mut quality = 0.0;
-    let mut matched = BTreeSet::new();
-    for ((building, true_building), both) in &shared {
-        let iou = *both as f64 / (found_areas[building] + truth_areas[true_building] - both) as f64;
-        if iou > 0.5 {
-            quality += iou;
-            matched.insert(*true_building);
-        }
-    }
-    let (hits, all) = (matched.len(), found_areas.len() + truth_areas.len());
-    println!(
-        "{} buildings found, {} true, {hits} matched; panoptic quality {:.3} (recognition {:.3}, segmentation {:.3})",
-        found_areas.len(),
-        truth_areas.len(),
-        2.0 * quality / all.max(1) as f64,
-        2.0 * hits as f64 / all.max(1) as f64,
-        quality / hits.max(1) as f64
-    );
     Ok(())
 }

@@ -54,8 +54,8 @@ pub static PIPELINE: &[Stage] = &[
     row::<mesh::Surface>("mesh", &["import", "group", "fuse"], Per::Tile, &["surface", IMAGES], mesh::jobs, mesh::run),
     Stage { sources: crate::stages::aoi::sources,
     ..row::<merge::Merged>("merge", &["import", "group", "mesh"], Per::Whole, &["buildings", "surface.voxel_gsd", "surface.voxel_m"], merge::jobs, merge::run) },
-    Stage { sources: score::sources,
-    ..row::<score::Scored>("score", &["import", "merge"], Per::Whole, &["score", "seed"], score::jobs, score::run) },
+    Stage { sources: score::sources, code: 2,
+    ..row::<score::Scored>("score", &["import", "coarse", "group", "merge"], Per::Whole, &["score", "seed"], score::jobs, score::run) },
     Stage { publishes: Some("result"),
     ..row::<report::Published>("report", &["import", "vote", "group", "train", "merge", "score"], Per::Whole, &["buildings", IMAGES], report::jobs, report::run) },
 ];

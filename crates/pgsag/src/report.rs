@@ -11,6 +11,7 @@ use crate::run::Run;
 use crate::run::artifact::files_below;
 use crate::run::manifest::Manifest;
 use crate::run::stage::{Job, Per};
+use crate::stages::group::Made;
 use crate::stages::import::Imported;
 use crate::stages::merge::Building;
 use crate::stages::train::Trained;
@@ -41,6 +42,8 @@ pub struct Content<'a> {
     pub votes: Vec<Vote>,
     /// The groups themselves.
     pub grouped: &'a [Group],
+    /// How they came about.
+    pub made: Made,
 }
 
 /// The page as text.
@@ -68,6 +71,7 @@ pub fn page(job: &Job<'_>, config: &Config, content: &Content<'_>) -> Result<Str
         "point_count": content.imported.scene.points.len(), "frame": frame.source,
         "scale_known": frame.metres_per_unit.is_some(), "masked": content.masked,
         "face_count": content.face_count, "groups": groups, "buildings": content.buildings,
+        "made": content.masked.then_some(content.made),
         "votes": votes::distribution(&content.votes, &config.vote),
         "shown": content.shown, "score": content.score, "jobs": jobs, "warnings": warnings, "settings": rows,
     });

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use pgsag_scene::Mesh;
 use serde::{Deserialize, Serialize};
 
+use super::panoptic::Panoptic;
+
 /// The truth that a mesh is judged against. Coordinates in the scene's frame and units.
 #[derive(Clone, Copy, Debug)]
 pub enum Truth<'a> {
@@ -92,6 +94,8 @@ pub struct ScoreOptions {
     pub mean_cap_m: f64,
     /// Half width of the band along true edges.
     pub edge_band_m: f64,
+    /// Side of the cells of plan view in which buildings are compared.
+    pub plan_cell_m: f64,
 }
 
 impl Default for ScoreOptions {
@@ -108,6 +112,7 @@ impl Default for ScoreOptions {
             up: [0.0, 0.0, 1.0],
             mean_cap_m: 2.0,
             edge_band_m: 0.5,
+            plan_cell_m: 0.25,
         }
     }
 }
@@ -207,6 +212,12 @@ pub struct Score {
     pub inputs: BTreeMap<String, String>,
     /// Samples left out because their nearest true surface is not a building.
     pub left_out: u64,
+    /// Whether buildings are told apart as in the truth; absent where mesh or truth knows none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub panoptic: Option<Panoptic>,
+    /// Share of the points that building groups own whose nearest true surface is no building; filled by the caller.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub points_off_buildings: Option<f64>,
     /// Mean distance between neighbouring points of a truth cloud, metres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub truth_spacing_m: Option<f64>,

@@ -1,7 +1,7 @@
 //! `pgsag score`: any mesh against any truth.
 
 use anyhow::Result;
-use pgsag_mesh::score::{Distances, Score, ScoreOptions};
+use pgsag_mesh::score::{Distances, Panoptic, Score, ScoreOptions};
 use serde::de::DeserializeOwned;
 
 use super::{existing, print};
@@ -63,6 +63,18 @@ pub(super) fn table(score: &Score) -> Vec<String> {
     };
     lines.push(spread("accuracy", &score.accuracy_m));
     lines.push(spread("completeness", &score.completeness_m));
+    lines.extend(score.panoptic.as_ref().map(told_apart));
+    if let Some(share) = score.points_off_buildings {
+        lines.push(format!("{:.2} % of the points of building groups lie on no building", 100.0 * share));
+    }
     lines.extend(score.notes.iter().map(|note| format!("note: {note}")));
     lines
+}
+
+/// How well buildings are told apart.
+fn told_apart(of: &Panoptic) -> String {
+    format!(
+        "buildings: {} found, {} true, {} matched; panoptic quality {:.3} (recognition {:.3} x segmentation {:.3})",
+        of.found, of.truth, of.matched, of.quality, of.recognition, of.segmentation
+    )
 }

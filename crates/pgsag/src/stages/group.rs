@@ -117,6 +117,22 @@ pub struct Groups {
     pub extent: Extent,
     /// Whether masks say what a building is.
     pub masked: bool,
+    /// How building groups came about.
+    pub made: Made,
+}
+
+/// What became of the clusters of building points.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Made {
+    /// Clusters of density.
+    pub clusters: usize,
+    /// Tiny ones that joined another.
+    pub merged: usize,
+    /// Cuts through clusters that were too large for a worker.
+    pub cuts: usize,
+    /// Building points that lie apart from all clusters and went to the background.
+    pub apart: usize,
 }
 
 /// `groups.json`.
@@ -124,6 +140,8 @@ pub struct Groups {
 struct Index {
     names: Vec<String>,
     masked: bool,
+    #[serde(default)]
+    made: Made,
 }
 
 /// The names of all groups of a finished stage.
@@ -139,14 +157,14 @@ impl Artifact for Groups {
     const VERSION: u32 = 2;
 
     fn read(folder: &Path) -> Result<Self> {
-        let Index { names, masked } = read_json(&folder.join("groups.json"))?;
+        let Index { names, masked, made } = read_json(&folder.join("groups.json"))?;
         let groups = names.iter().map(|name| group_of(folder, name)).collect::<Result<_>>()?;
-        Ok(Self { groups, extent: read_json(&folder.join("extent.json"))?, masked })
+        Ok(Self { groups, extent: read_json(&folder.join("extent.json"))?, masked, made })
     }
 
     fn write(&self, folder: &Path) -> Result<()> {
         let names: Vec<String> = self.groups.iter().map(|group| group.id.to_string()).collect();
-        let index = Index { names: names.clone(), masked: self.masked };
+        let index = Index { names: names.clone(), masked: self.masked, made: self.made };
         write_json(&folder.join("groups.json"), &index)?;
         write_json(&folder.join("extent.json"), &self.extent)?;
         for (group, name) in self.groups.iter().zip(names) {
@@ -235,9 +253,11 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let masked = states.iter().any(|state| *state != MaskState::Unknown);
     let within = |index: &u32| area.contains(scene.points[*index as usize].position_world);
     let points: Vec<u32> = (0..scene.points.len() as u32).filter(within).collect();
+    let mut made = Made::default();
     let groups = if masked {
         let Votes { labels, .. } = job.read("vote")?;
         let division = divide::divide(job, &scene, &points, &labels, &config)?;
+        made = division.made;
         let patrol =
             survey::Patrol { job, config: &config, scene: &scene, normals: &normals, states: &states, used: &used };
         patrol.groups(&division, &labels)?
@@ -259,7 +279,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let Some(extent) = extent else {
         return Err(UserError::new(config.scene, "no point lies in front of a camera", "check poses and points").into());
     };
-    job.write(&Groups { groups, extent, masked })
+    job.write(&Groups { groups, extent, masked, made })
 }
 
 fn described(group: &Group) -> String {

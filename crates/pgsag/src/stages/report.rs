@@ -51,7 +51,7 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let config = config(job.run)?;
     let imported: Imported = job.read("import")?;
-    let Groups { groups, masked, .. } = job.read("group")?;
+    let Groups { groups, masked, made, .. } = job.read("group")?;
     let groups = finished_groups(job.run, groups, "train")?;
     let names: Vec<String> = groups.iter().map(|group| group.id.to_string()).collect();
     link_files(job, &names)?;
@@ -74,6 +74,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         score,
         votes,
         grouped: &groups,
+        made,
     };
     let page = report::page(job, &config, &content)?;
     write(&job.output().join("report.html"), page.as_bytes())

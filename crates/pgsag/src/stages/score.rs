@@ -3,10 +3,13 @@
 use std::path::Path;
 
 use anyhow::{Context as _, Result};
-use pgsag_mesh::score::{Score, ScoreOptions, Truth};
+use pgsag_group::GroupKind;
+use pgsag_mesh::score::{Score, ScoreOptions, Truth, off_buildings};
 use pgsag_scene::files::ply::{Cloud, read_cloud, read_mesh};
 use pgsag_scene::{Frame, Mesh};
 
+use super::coarse::Coarse;
+use super::group::Groups;
 use super::import::Imported;
 use super::mesh::read_surface;
 use super::{config, read_json, source_fingerprint, write_json};
@@ -98,13 +101,25 @@ fn ply(path: &Path) -> Result<(String, Vec<u8>)> {
 /// # Errors
 /// A truth or mesh that cannot be judged.
 pub fn score_file(mesh: &Path, truth: &Path, options: &ScoreOptions) -> Result<Score> {
+    score_against(mesh, truth, &TruthFile::read(truth)?, options)
+}
+
+fn score_against(mesh: &Path, truth: &Path, read: &TruthFile, options: &ScoreOptions) -> Result<Score> {
     let surface = read_surface(mesh)?;
-    let read = TruthFile::read(truth)?;
     let mut score = pgsag_mesh::score::score(&surface, &read.as_truth(), options)
         .map_err(|error| UserError::at(truth, error.to_string(), "see `pgsag score --help`"))?;
     score.inputs.insert("mesh".into(), fingerprint_file(mesh)?);
     score.inputs.insert("truth".into(), source_fingerprint(truth)?);
     Ok(score)
+}
+
+/// How much of what the building groups own lies on no building.
+fn points_off_buildings(job: &Job<'_>, groups: &Groups, truth: &TruthFile) -> Result<Option<f64>> {
+    let Coarse { points, .. } = job.read("coarse")?;
+    let buildings = groups.groups.iter().filter(|group| group.id.kind == GroupKind::Building);
+    let position = |index: &u32| points[*index as usize].position_world;
+    let positions: Vec<_> = buildings.flat_map(|group| group.core()).map(position).collect();
+    Ok(off_buildings(&positions, &truth.as_truth()))
 }
 
 /// Options in the frame of a scene.
@@ -127,7 +142,7 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     } else {
         Cost::default()
     };
-    Ok(JobPlan::whole(&["import", "merge"], cost))
+    Ok(JobPlan::whole(&["import", "coarse", "group", "merge"], cost))
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
@@ -140,8 +155,12 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         job.warn("the scale is unknown: thresholds count in scene units");
     }
     let options = ScoreOptions { seed: config.seed, ..in_frame(&config.score, &imported.scene.frame) };
-    let score =
-        score_file(&job.input("merge").join("buildings.ply"), Path::new(&config.truth), &options).context("score")?;
+    let truth = TruthFile::read(Path::new(&config.truth))?;
+    let mesh = job.input("merge").join("buildings.ply");
+    let score = score_against(&mesh, Path::new(&config.truth), &truth, &options).context("score")?;
+    let groups: Groups = job.read("group")?;
+    let points_off_buildings = if groups.masked { points_off_buildings(job, &groups, &truth)? } else { None };
+    let score = Score { points_off_buildings, ..score };
     for note in &score.notes {
         job.warn(note.clone());
     }

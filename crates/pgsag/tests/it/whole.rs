@@ -22,9 +22,14 @@ fn a_town_becomes_buildings_with_a_score() {
     let score: Value = serde_json::from_slice(&result["score.json"]).expect("JSON");
     let f1 = score["scores"][3]["f1"].as_f64().expect("a number");
     assert!(f1 > 0.6, "F1 at {} m is {f1}", score["scores"][3]["threshold_m"]);
+    let identity = &score["panoptic"];
+    assert_eq!((&identity["found"], &identity["matched"]), (&Value::from(2), &Value::from(2)), "{identity}");
+    assert!(identity["quality"].as_f64().is_some_and(|quality| quality > 0.6), "{identity}");
+    assert!(score["points_off_buildings"].as_f64().is_some_and(|share| share < 0.1), "{score}");
     let report = fs::read_to_string(folder.path().join("run/result/report.html")).expect("a report");
     assert!(report.contains("data:image/jpeg;base64,"), "pictures");
     assert!(report.contains("<polyline"), "curves");
+    assert!(report.contains("panoptic quality 0.") && report.contains("2 clusters of building points"), "identity");
     assert!(!report.contains("http://") && !report.contains("https://"), "offline");
 }
 

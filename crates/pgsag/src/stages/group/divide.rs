@@ -11,7 +11,7 @@ use pgsag_scene::Scene;
 use pgsag_scene::numbers::quantile;
 use pgsag_splat::train::density::bytes_per_gaussian;
 
-use super::MIN_POINTS;
+use super::{MIN_POINTS, Made};
 use crate::config::{Config, parse_size};
 use crate::lengths::Lengths;
 use crate::photographs::training_camera;
@@ -44,6 +44,8 @@ pub(super) struct Division {
     pub(super) grounds: Vec<Ground>,
     /// Points of the background: all that no cluster owns.
     pub(super) background: Vec<u32>,
+    /// What became of the clusters.
+    pub(super) made: Made,
 }
 
 /// Divides the points of the area of interest.
@@ -77,7 +79,8 @@ pub(super) fn divide(
     if grounds.len() > 1 {
         job.say(&format!("{} blocks of background", grounds.len()));
     }
-    Ok(Division { frame, surface, clusters: found.clusters, grounds, background })
+    let made = Made { clusters: found.found, merged: found.merged, cuts: found.cuts, apart: found.noise.len() };
+    Ok(Division { frame, surface, clusters: found.clusters, grounds, background, made })
 }
 
 /// What makes a cluster here, said aloud.
