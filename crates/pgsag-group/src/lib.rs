@@ -1,7 +1,8 @@
 //! Which pixels and points are which building: the paper's section 4.1.
 //!
 //! `distance` measures from the mask's edge, `surface` knows what hides what, `vote` scores the points (Eq. 6-7), `label`
-//! extends the reliable ones, `refine` turns masks into four pixel classes, `dbscan`, `cluster` and `blocks` divide the
+//! extends the reliable ones, `refine` turns masks into four pixel classes, `segment`
+//! and `prompts` ask a model where there is one, `dbscan`, `cluster` and `blocks` divide the
 //! scene, `territory` says whose pixel is whose, `group` says what one worker needs. Values in, values out: masks come
 //! through closures, one view at a time, so that no more than one full image is held per thread.
 
@@ -14,7 +15,9 @@ pub mod ground;
 pub mod group;
 pub mod label;
 pub mod plan;
+pub mod prompts;
 pub mod refine;
+pub mod segment;
 pub mod superpixel;
 pub mod surface;
 pub mod territory;
@@ -22,4 +25,5 @@ pub mod vote;
 
 pub use group::{Group, GroupId, GroupKind, GroupView};
 pub use label::Label;
+pub use segment::{Ask, SegmentError, Segmenter};
 pub use vote::{Vote, VoteOptions};

@@ -152,14 +152,7 @@ fn existing(path: &Path, what: &str) -> Result<PathBuf> {
 fn checked(mut config: Config) -> Result<Config> {
     match config.masks.as_str() {
         "auto" | "none" | "geometry" => {}
-        "language" => {
-            return Err(UserError::new(
-                "--masks language",
-                "masks by language are not part of this version",
-                "give a folder of masks, --masks geometry, or --masks none",
-            )
-            .into());
-        }
+        "language" => return Err(crate::stages::masks::without_model().into()),
         folder => config.masks = existing(Path::new(folder), "the folder of masks")?.to_string_lossy().into_owned(),
     }
     for (path, what) in [(&mut config.truth, "the truth"), (&mut config.aoi, "the area of interest")] {

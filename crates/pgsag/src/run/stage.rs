@@ -29,6 +29,7 @@ pub enum Per {
 }
 
 /// One row of the pipeline.
+#[derive(Clone, Copy)]
 pub struct Stage {
     /// Its name; its folder is `NN-name`.
     pub name: &'static str,

@@ -1,13 +1,16 @@
 //! `masks`: which pixels show buildings, one raster per image at the size of training. From a folder, from the shape of
-//! the coarse surface (`geometry`), or nothing.
+//! the coarse surface (`geometry`), from a model that is asked by words (Eq. 5), or nothing.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use glam::DVec3;
+use pgsag_group::Segmenter;
 use pgsag_group::geometry::{self, Points};
 use pgsag_group::plan::PlanFrame;
+use pgsag_group::prompts::PromptOptions;
 use pgsag_group::refine::{Drawing, drawn_labels, mask_of_labels};
+use pgsag_group::segment::named;
 use pgsag_group::surface::Surface;
 use pgsag_scene::Map;
 use pgsag_scene::files::folder::{SceneFolder, open_scene};
@@ -21,6 +24,7 @@ use super::{
     batch_file, batch_views, batches, config, read, read_json, source_fingerprint, view_file, write, write_json,
 };
 use crate::config::Config;
+use crate::error::UserError;
 use crate::lengths::Lengths;
 use crate::photographs::{Photographs, training_camera, training_mask};
 use crate::run::Run;
@@ -95,12 +99,15 @@ enum Origin {
     Scene,
     Folder(PathBuf),
     Geometry,
+    /// A model.
+    Language,
 }
 
 fn origin(config: &Config) -> Origin {
     match config.masks.as_str() {
         "none" => Origin::Nothing,
         "geometry" => Origin::Geometry,
+        "language" => Origin::Language,
         "auto" if MASK_FOLDERS.iter().any(|name| Path::new(&config.scene).join(name).is_dir()) => Origin::Scene,
         "auto" => Origin::Geometry,
         folder => Origin::Folder(folder.into()),
@@ -113,7 +120,7 @@ const MASK_FOLDERS: [&str; 2] = ["masks", "mask"];
 pub(crate) fn sources(run: &Run) -> Result<Vec<(String, String)>> {
     let config = config(run)?;
     let folders = match config.masks.as_str() {
-        "none" | "geometry" => Vec::new(),
+        "none" | "geometry" | "language" => Vec::new(),
         "auto" => MASK_FOLDERS.iter().map(|name| PathBuf::from(&config.scene).join(name)).collect(),
         folder => vec![PathBuf::from(folder)],
     };
@@ -146,6 +153,14 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
+    make(job, None)
+}
+
+/// The stage, with a model to ask where there is one.
+///
+/// # Errors
+/// Where a file or the model cannot be read or asked.
+pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
     let config = config(job.run)?;
     let imported: Imported = job.read("import")?;
     let origin = origin(&config);
@@ -153,6 +168,10 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     if origin == Origin::Geometry {
         let states = by_geometry(job, &imported, &config, &views)?;
         return job.write(&MaskList { views: states });
+    }
+    if origin == Origin::Language {
+        let Some(segmenter) = segmenter else { return Err(without_model().into()) };
+        return job.write(&MaskList { views: by_language(job, &imported, &config, &views, segmenter)? });
     }
     let folder = with_masks(&imported, &config, origin)?;
     let done = std::sync::atomic::AtomicU64::new(0);
@@ -173,7 +192,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
 fn with_masks(imported: &Imported, config: &Config, origin: Origin) -> Result<SceneFolder> {
     let scene = Path::new(&config.scene);
     match origin {
-        Origin::Nothing | Origin::Geometry => Ok(imported.folder(scene)),
+        Origin::Nothing | Origin::Geometry | Origin::Language => Ok(imported.folder(scene)),
         Origin::Scene => {
             let opened = open_scene(scene)?;
             Ok(SceneFolder { scene: imported.scene.clone(), ..opened })
@@ -184,6 +203,39 @@ fn with_masks(imported: &Imported, config: &Config, origin: Origin) -> Result<Sc
             Ok(folder)
         }
     }
+}
+
+/// Why there are no masks by language here.
+pub(crate) fn without_model() -> UserError {
+    UserError::new(
+        "--masks language",
+        "masks by language are not part of this version",
+        "give a folder of masks, --masks geometry, or --masks none",
+    )
+}
+
+/// Masks from a model that is asked for buildings in every image, at the size of training.
+fn by_language(
+    job: &Job<'_>,
+    imported: &Imported,
+    config: &Config,
+    views: &[usize],
+    segmenter: &dyn Segmenter,
+) -> Result<Vec<(usize, MaskState)>> {
+    let photographs = Photographs::new(imported, config, job, 0);
+    let words = PromptOptions::default().words;
+    job.say(&format!("a model is asked for \"{words}\""));
+    let mut states = Vec::with_capacity(views.len());
+    // One image after another: a model takes all threads for itself.
+    for (done, &view) in views.iter().enumerate() {
+        job.check()?;
+        let name = || imported.scene.views[view].name.clone();
+        let mask = named(segmenter, photographs.whole(view)?.as_ref(), &words).with_context(name)?;
+        write(&job.output().join(view_file(view, "mask.png")), &encode_mask_png(&mask))?;
+        states.push((view, if mask.values.contains(&true) { MaskState::Buildings } else { MaskState::Empty }));
+        job.advance(done as u64 + 1, views.len() as u64, "masks");
+    }
+    Ok(states)
 }
 
 /// Masks from the shape of the coarse surface: its points are told apart and drawn into every image.

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use anyhow::Result;
 use pgsag_group::refine::{Drawing, RefineOptions, background_classes, building_classes, corrected, drawn_labels};
 use pgsag_group::surface::Surface;
-use pgsag_group::{GroupKind, Label};
+use pgsag_group::{GroupKind, Label, Segmenter};
 use pgsag_scene::files::raster::encode_mask_png;
 use pgsag_scene::{Map, Mask};
 use rayon::prelude::*;
@@ -23,6 +23,10 @@ use crate::photographs::Photographs;
 use crate::run::Run;
 use crate::run::artifact::Artifact;
 use crate::run::stage::{Cost, Job, JobPlan};
+
+mod ask;
+
+use ask::Asker;
 
 /// Which views of a batch have classes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -87,6 +91,14 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
+    make(job, None)
+}
+
+/// The stage, with a model to ask for every building where there is one.
+///
+/// # Errors
+/// Where a file or the model cannot be read or asked.
+pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
     let config = config(job.run)?;
     let imported: Imported = job.read("import")?;
     let view_count = imported.scene.views.len();
@@ -97,13 +109,15 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let coarse = if is_used { job.read("coarse")? } else { Coarse::default() };
     let surface = Surface::new(coarse.points.iter().map(|point| point.position_world).collect());
     let pencil = Pencil { coarse, surface, labels, photographs, imported: &imported };
+    let asker = segmenter.filter(|_| is_used).map(|segmenter| Asker::new(job, &config, &pencil, segmenter));
     let masks = job.input("masks");
     let done = AtomicU64::new(0);
     let views = batch_views(job, view_count);
     let refined = |&view: &usize| -> Result<Option<(usize, u64, u64)>> {
         job.check()?;
         let Some(given) = mask_of(&masks, view, states[view])? else { return Ok(None) };
-        let mask = pencil.corrected(view, &given, &config.refine)?;
+        let asked = asker.as_ref().map(|asker| asker.mended(view, &given)).transpose()?;
+        let mask = pencil.corrected(view, asked.as_ref().unwrap_or(&given), &config.refine)?;
         write_classes(job, view, &mask, &config.refine)?;
         write_named(job, &imported.scene.views[view].name, &mask)?;
         job.advance(done.fetch_add(1, Ordering::Relaxed) + 1, views.len() as u64, "masks");
@@ -113,6 +127,9 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let found = views.par_iter().map(refined).collect::<Result<Vec<_>>>()?;
     let found: Vec<_> = found.into_iter().flatten().collect();
     let (changed, all) = found.iter().fold((0, 0), |sum, (_, changed, all)| (sum.0 + changed, sum.1 + all));
+    if let Some(asker) = asker {
+        job.say(&asker.told());
+    }
     if all > 0 {
         job.say(&format!("the points corrected {:.2} % of the masks' pixels", 100.0 * changed as f64 / all as f64));
     }

@@ -12,6 +12,7 @@ use tempfile::TempDir;
 
 mod bad_input;
 mod killed;
+mod segmented;
 mod whole;
 
 /// Everything small enough for a few CPU-seconds.
