@@ -7,9 +7,11 @@ use crate::error::MeshError;
 
 mod filter;
 mod merge;
+mod support;
 
 pub use filter::{FilterOptions, filter};
 pub use merge::{combine, merge_views};
+pub use support::{SupportOptions, supported};
 
 /// One posed depth map.
 #[derive(Clone, Debug)]

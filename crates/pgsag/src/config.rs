@@ -11,7 +11,7 @@ use pgsag_group::VoteOptions;
 use pgsag_group::blocks::BlockOptions;
 use pgsag_group::geometry::GeometryOptions;
 use pgsag_group::refine::RefineOptions;
-use pgsag_mesh::fuse::FilterOptions;
+use pgsag_mesh::fuse::{FilterOptions, SupportOptions};
 use pgsag_mesh::score::ScoreOptions;
 use pgsag_splat::train::{DepthOptions, InitialiseOptions, NeighborOptions, TrainOptions};
 
@@ -115,6 +115,8 @@ pub struct Config {
     pub train: TrainOptions,
     /// Which rendered depths deserve belief.
     pub depth: DepthOptions,
+    /// Which pixels lie near or between points.
+    pub support: SupportOptions,
     /// Which depths the other views confirm.
     pub filter: FilterOptions,
     /// Depth to surface.
@@ -155,6 +157,7 @@ impl Default for Config {
             neighbors: NeighborOptions::default(),
             train: TrainOptions::default(),
             depth: DepthOptions::default(),
+            support: SupportOptions::default(),
             filter: FilterOptions::default(),
             surface: SurfaceOptions::default(),
             buildings: BuildingOptions::default(),

@@ -49,7 +49,7 @@ pub static PIPELINE: &[Stage] = &[
     Stage { on_backend: true, code: 2,
     ..row::<train::Trained>("train", &["import", "coarse", "group"], Per::Group, &["seed", "train", "initialise", "neighbors", "holdout", "images", IMAGES], train::jobs, train::run) },
     Stage { on_backend: true,
-    ..row::<depth::DepthMaps>("depth", &["import", "group", "train"], Per::Group, &["depth", "filter", "neighbors", IMAGES], depth::jobs, depth::run) },
+    ..row::<depth::DepthMaps>("depth", &["import", "coarse", "group", "train"], Per::Group, &["depth", "support", "filter", "neighbors", IMAGES], depth::jobs, depth::run) },
     row::<fuse::Fused>("fuse", &["import", "refine", "group", "depth"], Per::Image, &[IMAGES], fuse::jobs, fuse::run),
     row::<mesh::Surface>("mesh", &["import", "group", "fuse"], Per::Tile, &["surface", IMAGES], mesh::jobs, mesh::run),
     Stage { sources: crate::stages::aoi::sources,

@@ -3,14 +3,16 @@
 use std::path::Path;
 
 use anyhow::Result;
+use glam::DVec3;
 use pgsag_group::{Group, GroupView};
 use pgsag_mesh::DepthView;
-use pgsag_mesh::fuse::filter;
-use pgsag_scene::Map;
+use pgsag_mesh::fuse::{filter, supported};
+use pgsag_scene::{Map, Scene};
 use pgsag_splat::backend::{Backend, OptimizerState};
 use pgsag_splat::train::{neighbors_of, render_depth, valid_depth};
 use serde::{Deserialize, Serialize};
 
+use super::coarse::Coarse;
 use super::group::{group_names, group_of};
 use super::import::Imported;
 use super::train::{GroupViews, Trained};
@@ -65,6 +67,7 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let folder = run.stage_folder("group");
     // A group that could not be trained is missing, and the rest goes on.
     let trained = run.finished_jobs("train")?;
+    let coarse = std::fs::metadata(run.stage_folder("coarse").join("points.bin")).map_or(0, |found| found.len());
     let names = group_names(&folder)?.into_iter().filter(|name| trained.contains(name));
     let plan = |name: String| -> Result<JobPlan> {
         let group = group_of(&folder, &name)?;
@@ -74,12 +77,12 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
         let cloud =
             std::fs::metadata(run.stage_folder("train").join(&name).join("cloud.ply")).map_or(0, |found| found.len());
         let cost = Cost {
-            memory_bytes: (128 << 20) + 8 * cloud + 200 * largest,
+            memory_bytes: (128 << 20) + 8 * cloud + 200 * largest + 2 * coarse,
             disk_bytes: 8 * all,
             cpu_secs: all as f64 * 0.5e-6 + 1.0,
         };
         let part = Some(name.clone());
-        let inputs = vec![("import", None), ("group", part.clone()), ("train", part)];
+        let inputs = vec![("import", None), ("coarse", None), ("group", part.clone()), ("train", part)];
         Ok(JobPlan { name, inputs, cost })
     };
     names.map(plan).collect()
@@ -92,7 +95,11 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let trained: Trained = job.read_job("train", &job.name)?;
     let photographs = Photographs::new(&imported, &config, job, 0);
     let views = GroupViews::new(&group, &imported.scene.views, &photographs, job);
-    let work = Render { job, config: &config, views, trained };
+    let coarse: Coarse = job.read("coarse")?;
+    let points_world = coarse.points.iter().map(|point| point.position_world).collect();
+    drop(coarse);
+    let support = Support { config: &config, scene: &imported.scene, points_world };
+    let work = Render { job, config: &config, views, trained, support };
     engine::run(&config.device, &config.simd, work)?;
     confirm(job, &config, &imported, &group)?;
     job.write(&DepthMaps { views: group.views })
@@ -103,6 +110,32 @@ struct Render<'a, 'j> {
     config: &'a Config,
     views: GroupViews<'a>,
     trained: Trained,
+    support: Support<'a>,
+}
+
+/// What tells open places from surfaces.
+struct Support<'a> {
+    config: &'a Config,
+    scene: &'a Scene,
+    points_world: Vec<DVec3>,
+}
+
+impl Support<'_> {
+    /// Takes the depth from pixels that are neither near points nor between them.
+    fn apply(&self, view: &GroupView, depth: &mut Map<f32>) {
+        let of_view = &self.scene.views[view.view_index as usize];
+        let camera = training_camera(&of_view.camera, self.config.image_width);
+        let points_world = self.points_world.iter().copied();
+        let kept = supported(&camera, &of_view.camera_from_world, points_world, &self.config.support);
+        let [x0, y0, width, height] = view.window_px;
+        for y in 0..height {
+            for x in 0..width {
+                if !kept.at(x0 + x, y0 + y) {
+                    depth.set(x, y, 0.0);
+                }
+            }
+        }
+    }
 }
 
 impl engine::Work for Render<'_, '_> {
@@ -120,10 +153,11 @@ impl engine::Work for Render<'_, '_> {
             let mask = self.views.mask_of(view)?;
             let maps = render_depth(backend, &on_device, &camera, None, self.trained.summary.sh_degree)?;
             let valid = valid_depth(&maps, &camera, mask.as_ref(), &self.config.depth);
-            let sure = valid.depth.values.iter().zip(&maps.opacity.values);
+            let mut depth = valid.depth;
+            self.support.apply(view, &mut depth);
+            let sure = depth.values.iter().zip(&maps.opacity.values);
             let weight = sure.map(|(depth, opacity)| if *depth > 0.0 { *opacity } else { 0.0 }).collect();
-            let weight = Map { width: valid.depth.width, height: valid.depth.height, values: weight };
-            write_depth(&raw, index, &valid.depth, &weight)?;
+            write_depth(&raw, index, &depth, &Map { width: depth.width, height: depth.height, values: weight })?;
             self.job.advance(done as u64 + 1, total, "views");
         }
         Ok(())
