@@ -96,6 +96,9 @@ pub struct RenderOptions {
     /// Count in the cloud's statistics the Gaussians that are blended somewhere while the transmittance (before them)
     /// is above 0.5 (multi-view trim): at most once per render.
     pub observe: bool,
+    /// With `planes`: colours are not read and get no gradient (a neighbour whose planes alone are compared). A device may
+    /// leave them out: their map is empty then.
+    pub without_color: bool,
     /// Draw the `Free` pixels too (for `LossWeights::free_opacity`). Drawn are else the active pixels alone.
     pub free_pixels: bool,
 }
@@ -247,6 +250,8 @@ pub struct Rates {
     pub color: f32,
     /// Higher coefficients.
     pub harmonics: f32,
+    /// Step only the Gaussians that the last `backward` gave a gradient; the others, and their moments, stay as they are.
+    pub sparse: bool,
 }
 
 /// Per-Gaussian sums since the last `statistics`, from renders with the flags set. `[N]` each.

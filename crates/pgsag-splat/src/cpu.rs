@@ -8,12 +8,14 @@
 mod adam;
 mod backward;
 mod bins;
+mod bounds;
 mod cloud;
 mod forward;
 mod gradient;
 mod layout;
 mod maps;
 mod project;
+mod reduce;
 mod render;
 mod sort;
 
@@ -36,18 +38,19 @@ use crate::backend::{
 };
 use crate::cloud::SplatCloud;
 use crate::equations::{plane as planes, projection::Lens};
-use crate::lanes::{self, LANES, at_level, wide};
+use crate::lanes::{self, wide};
 use crate::losses::{Evaluation, Inputs, LossView, evaluate_into};
-use cloud::plane;
+use bins::place::THICKNESS;
 use forward::Cuts;
-use gradient::{Return, Sums, gradients};
+use gradient::Return;
 use layout::Layout;
-use maps::{Rows, take_gradients};
+use maps::Rows;
 use project::{Projection, project};
-use render::{Buffers, Pool};
+use reduce::{Sums, reduce};
+use render::{Buffers, Pool, leaves_color_out};
 
 /// Gaussians whose scales are added at a time.
-const FLATNESS_CHUNK: usize = 1024;
+const FLATNESS_CHUNK: usize = 4096;
 
 /// How [`Cpu`] works.
 #[derive(Clone, Copy, Debug, Default)]
@@ -161,26 +164,24 @@ impl Cpu {
     }
 
     /// Mean smallest scale of the visible Gaussians in scene scales, and its gradient per Gaussian and scene unit.
-    fn flatness(&self, cloud: &CpuCloud, render: &CpuRender, scene_scale: f32) -> (f64, f64) {
-        let visible = render.gaussians_with(&render.buffers.blocks);
-        if visible.is_empty() {
-            return (0.0, 0.0);
-        }
-        let sums: Vec<f64> = visible
+    fn flatness(render: &CpuRender, scene_scale: f32) -> (f64, f64) {
+        let Buffers { bins, blocks, records, .. } = &render.buffers;
+        let sums: Vec<(f64, usize)> = bins
+            .entries
             .par_chunks(FLATNESS_CHUNK)
-            .map(|chunk| {
-                let smallest = |&gaussian: &u32| {
-                    let (group, lane) = (gaussian as usize / LANES, gaussian as usize % LANES);
-                    let log = |axis: usize| cloud.values[group * cloud.planes + plane::LOG_SCALE + axis].0[lane];
-                    log(0).min(log(1)).min(log(2))
-                };
-                let mut logs = [0.0; FLATNESS_CHUNK];
-                logs.iter_mut().zip(chunk).for_each(|(log, gaussian)| *log = smallest(gaussian));
-                at_level!(self.level, simd => wide::exp_sum(simd, &logs[..chunk.len()]))
+            .map(|entries| {
+                let visible = entries.iter().filter(|entry| bins.any(entry, blocks));
+                visible.fold((0.0, 0), |(sum, count), entry| {
+                    (sum + f64::from(records[entry.gaussian as usize].0[THICKNESS]), count + 1)
+                })
             })
             .collect();
-        let share = 1.0 / (visible.len() as f64 * f64::from(scene_scale));
-        (sums.into_iter().sum::<f64>() * share, share)
+        let (sum, count) = sums.into_iter().fold((0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+        if count == 0 {
+            return (0.0, 0.0);
+        }
+        let share = 1.0 / (count as f64 * f64::from(scene_scale));
+        (sum * share, share)
     }
 
     fn back(&self, cloud: &mut CpuCloud, render: &CpuRender, averaged_pixels: usize, accumulate: bool) {
@@ -192,16 +193,16 @@ impl Cpu {
             blocks: &render.buffers.blocks,
             pairs: &scratch.sums,
             plain: &scratch.plain,
-        };
-        let back = Return {
-            camera: &render.camera,
-            sh_degree: render.options.sh_degree,
-            planes: render.options.planes,
-            accumulate,
-            d_smallest_scale: if accumulate { 0.0 } else { render.d_smallest_scale },
             averaged_pixels: render.options.statistics.then_some(averaged_pixels as f32),
         };
-        gradients(self.level, cloud, &sums, &back);
+        let back = Return {
+            camera: render.camera,
+            sh_degree: render.options.sh_degree,
+            planes: render.options.planes,
+            color: !leaves_color_out(&render.options),
+            d_smallest_scale: if accumulate { 0.0 } else { render.d_smallest_scale },
+        };
+        reduce(self.level, cloud, &sums, back, accumulate);
         self.give_scratch(scratch);
         self.phase("gradient");
     }
@@ -213,7 +214,7 @@ impl Backend for Cpu {
     type Render = CpuRender;
 
     fn upload(&self, state: &OptimizerState) -> Result<CpuCloud> {
-        Ok(CpuCloud::new(state))
+        Ok(CpuCloud::new(self.level, state))
     }
 
     fn download(&self, cloud: &CpuCloud) -> Result<OptimizerState> {
@@ -254,17 +255,17 @@ impl Backend for Cpu {
             layout: &layout,
             sh_degree: options.sh_degree,
             planes: options.planes,
+            color: !leaves_color_out(&options),
             cut: self.cuts.alpha_log2,
         };
         project(self.level, cloud, &projection, &mut buffers.records, &mut buffers.found, &mut buffers.bins);
         self.phase("project");
         buffers.bins.fill(layout.tiles.len());
         self.phase("bin");
-        buffers.upstream.clear();
-        buffers.load_gradient.clear();
         let pool = Arc::clone(&self.pool);
         let (camera, cuts) = (*camera, self.cuts);
-        let mut render = CpuRender { options, camera, layout, cuts, buffers, d_smallest_scale: 0.0, pool };
+        let mut render =
+            CpuRender { options, camera, layout, cuts, buffers, differentiated: false, d_smallest_scale: 0.0, pool };
         render.blend(self.level);
         if options.observe {
             for gaussian in render.gaussians_with(&render.buffers.seen) {
@@ -294,10 +295,10 @@ impl Backend for Cpu {
         })
     }
 
-    fn losses(&self, cloud: &CpuCloud, sample: &mut Sample<'_, Self>) -> Result<LossValues> {
+    fn losses(&self, _cloud: &CpuCloud, sample: &mut Sample<'_, Self>) -> Result<LossValues> {
         let (mut flatness, mut share) = (0.0, 0.0);
         if sample.weights.flatness != 0.0 {
-            (flatness, share) = self.flatness(cloud, sample.render, sample.scene_scale);
+            (flatness, share) = Self::flatness(sample.render, sample.scene_scale);
         }
         let mut scratch = self.take_scratch();
         let Scratch { rows: [rows, neighbor_rows], losses: result, .. } = &mut scratch;
@@ -319,13 +320,12 @@ impl Backend for Cpu {
         evaluate_into(&inputs, result);
         self.phase("losses");
         sample.render.d_smallest_scale = (f64::from(sample.weights.flatness) * share) as f32;
-        take_gradients(self.level, sample.render, &result.reference);
+        sample.render.take_gradients(&mut result.reference);
         if let Some((_, render)) = &mut sample.neighbor {
-            take_gradients(self.level, render, &result.neighbor);
+            render.take_gradients(&mut result.neighbor);
         }
         let values = result.values;
         self.give_scratch(scratch);
-        self.phase("upstream");
         if values.total.is_finite() { Ok(values) } else { Err(BackendError::NotFinite("the loss")) }
     }
 
@@ -338,14 +338,14 @@ impl Backend for Cpu {
         }
         let averaged = |view: &CpuView| view.losses.mean_count(sample.weights.mean_over_mask);
         self.back(cloud, sample.render, averaged(sample.view), false);
-        if let Some((view, render)) = neighbor.filter(|(_, render)| !render.buffers.upstream.is_empty()) {
+        if let Some((view, render)) = neighbor.filter(|(_, render)| render.has_gradients()) {
             self.back(cloud, render, averaged(view), true);
         }
         Ok(())
     }
 
     fn gradients(&self, cloud: &CpuCloud) -> Result<SplatCloud> {
-        Ok(cloud.gradient_cloud())
+        Ok(cloud.to_cloud(&gradient::all(self.level, cloud)))
     }
 
     fn adam(&self, cloud: &mut CpuCloud, rates: &Rates, step: u32) -> Result<()> {
@@ -363,7 +363,7 @@ impl Backend for Cpu {
     }
 
     fn reshape(&self, cloud: &mut CpuCloud, plan: &DensityPlan) -> Result<()> {
-        cloud.reshape(plan);
+        cloud.reshape(self.level, plan);
         Ok(())
     }
 }

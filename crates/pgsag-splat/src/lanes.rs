@@ -58,13 +58,12 @@ pub enum SimdLevel {
 }
 
 impl SimdLevel {
+    const BEST_FIRST: [Self; 4] = [Self::Avx512, Self::Avx2, Self::Neon, Self::Scalar];
+
     /// The levels that this machine can run, best first; never `Auto`, always `Scalar` at the end.
     #[must_use]
     pub fn available() -> Vec<Self> {
-        [Self::Avx512, Self::Avx2, Self::Neon, Self::Scalar]
-            .into_iter()
-            .filter(|level| level.detected().is_some())
-            .collect()
+        Self::BEST_FIRST.into_iter().filter(|level| level.detected().is_some()).collect()
     }
 
     /// The proof that the machine has this level; `None` where it has not.
@@ -72,7 +71,7 @@ impl SimdLevel {
         #[cfg(target_arch = "x86_64")]
         let best = Level::new();
         match self {
-            Self::Auto => Self::available().first().and_then(|level| level.detected()),
+            Self::Auto => Self::BEST_FIRST.into_iter().find_map(Self::detected),
             #[cfg(target_arch = "x86_64")]
             Self::Avx512 => best.as_avx512().map(|token| token.level()),
             #[cfg(target_arch = "x86_64")]
@@ -165,20 +164,37 @@ fn fold<S: Simd>(a: S::f32s, b: S::f32s) -> S::f32s {
     a.unzip_low(b) + a.unzip_high(b)
 }
 
-/// Columns and rows of the pixel centres of a block's 16 lanes, relative to its corner.
-pub(crate) const LANE_X: Line = lane_offsets(true);
-/// See [`LANE_X`].
-pub(crate) const LANE_Y: Line = lane_offsets(false);
-
-const fn lane_offsets(columns: bool) -> Line {
-    let mut offsets = [0.0; LANES];
-    let mut lane = 0;
-    while lane < LANES {
-        let at = if columns { lane % BLOCK } else { lane / BLOCK };
-        offsets[lane] = at as f32 + 0.5;
-        lane += 1;
+/// 1 / x for `x` in [1e-30, 1e30]; relative error 2e-7. Own steps (Newton's, from the bits' first guess), so that every
+/// machine computes the same, and cheaper than a division, which keeps one of two vector ports for long.
+#[inline(always)]
+pub(crate) fn reciprocal<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    /// Bits from which those of x leave a guess within 5 %.
+    const GUESS: u32 = 0x7ef1_27ea;
+    let mut value = (S::u32s::splat(simd, GUESS) - x.bitcast::<S::u32s>()).bitcast::<S::f32s>();
+    for _ in 0..3 {
+        value = value * (-x).mul_add(value, S::f32s::splat(simd, 2.0));
     }
-    Line(offsets)
+    value
+}
+
+/// Columns of the pixel centres of every block of a tile, relative to the tile's corner.
+pub(crate) static CENTER_X: [Line; BLOCKS] = centers(true);
+/// See [`CENTER_X`].
+pub(crate) static CENTER_Y: [Line; BLOCKS] = centers(false);
+
+const fn centers(columns: bool) -> [Line; BLOCKS] {
+    let mut lines = [Line::ZERO; BLOCKS];
+    let mut block = 0;
+    while block < BLOCKS {
+        let mut lane = 0;
+        while lane < LANES {
+            let (x, y) = (block % (TILE / BLOCK) * BLOCK + lane % BLOCK, block / (TILE / BLOCK) * BLOCK + lane / BLOCK);
+            lines[block].0[lane] = (if columns { x } else { y }) as f32 + 0.5;
+            lane += 1;
+        }
+        block += 1;
+    }
+    lines
 }
 
 #[cfg(test)]

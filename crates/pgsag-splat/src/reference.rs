@@ -184,9 +184,13 @@ impl Backend for Reference {
 
     fn adam(&self, cloud: &mut Cloud, rates: &Rates, step: u32) -> Result<()> {
         let corrections = adam::corrections(step);
+        let sparse = rates.sparse;
         let rates = cloud::rates(rates);
         let Cloud { rows, first, second, gradients, .. } = cloud;
         for (((row, first), second), gradient) in rows.iter_mut().zip(first).zip(second).zip(gradients) {
+            if sparse && gradient.0.iter().all(|&value| value == 0.0) {
+                continue;
+            }
             for i in 0..cloud::WIDTH {
                 let moved = adam::step(row.0[i], first.0[i], second.0[i], gradient.0[i], rates[i], corrections);
                 [row.0[i], first.0[i], second.0[i]] = moved;

@@ -183,7 +183,7 @@ impl Bench {
         let options =
             RenderOptions { sh_degree: 3, planes, gradient: true, statistics: true, ..RenderOptions::default() };
         let mut render = cpu.render(&self.cloud, &self.cameras[0], Some(&self.views[0]), &options)?;
-        let beside = RenderOptions { planes: true, gradient: true, ..RenderOptions::default() };
+        let beside = RenderOptions { planes: true, without_color: true, gradient: true, ..RenderOptions::default() };
         let mut second = None;
         if self.case.patches > 0 {
             second = Some(cpu.render(&self.cloud, &self.cameras[1], Some(&self.views[1]), &beside)?);
@@ -208,4 +208,5 @@ impl Bench {
 }
 
 /// So small that the cloud stays what it is.
-const RATES: Rates = Rates { means: 1e-7, scales: 1e-7, rotations: 1e-7, opacity: 1e-7, color: 1e-7, harmonics: 1e-7 };
+const RATES: Rates =
+    Rates { means: 1e-7, scales: 1e-7, rotations: 1e-7, opacity: 1e-7, color: 1e-7, harmonics: 1e-7, sparse: false };

@@ -39,6 +39,13 @@ fn rates(bench: &Bench, gflops: f64) -> Map<String, Value> {
     rates
 }
 
+/// Of the iteration that idle cores would end first: what the busier thread of each phase spent.
+fn busiest(bench: &Bench) -> Map<String, Value> {
+    let fastest = bench.turns.iter().min_by(|a, b| a.critical().total_cmp(&b.critical()));
+    let phases = fastest.map(|turn| &turn.phases[..]).unwrap_or_default();
+    phases.iter().map(|phase| (phase.name.to_owned(), json!(round(phase.largest, 2)))).collect()
+}
+
 /// The line of one case.
 pub(crate) fn case_line(group: &str, bench: &Bench, gflops: f64) -> Value {
     let case = &bench.case;
@@ -61,6 +68,9 @@ pub(crate) fn case_line(group: &str, bench: &Bench, gflops: f64) -> Value {
         "median_ms": round(median(bench.turns.iter().map(Turn::total)), 2),
         "phases_ms": phases,
     });
+    if let (Value::Object(members), true) = (&mut line, case.threads > 1) {
+        members.insert("busiest_ms".into(), json!(busiest(bench)));
+    }
     if let (Value::Object(members), true) = (&mut line, case.threads == 1 && case.patches == 0) {
         members.extend(rates(bench, gflops));
     }

@@ -70,6 +70,7 @@ const EVERYTHING: RenderOptions = RenderOptions {
     gradient: true,
     statistics: true,
     observe: true,
+    without_color: false,
     free_pixels: true,
 };
 
@@ -87,7 +88,8 @@ fn step<B: Backend>(backend: &B, state: &OptimizerState, scene: &Scene, weights:
     let mut cloud = backend.upload(state)?;
     let views = [backend.prepare(&scene.views[0])?, backend.prepare(&scene.views[1])?];
     let mut render = backend.render(&cloud, &scene.views[0].camera, Some(&views[0]), &EVERYTHING)?;
-    let beside = RenderOptions { statistics: false, observe: false, free_pixels: false, ..EVERYTHING };
+    let beside =
+        RenderOptions { sh_degree: 3, planes: true, without_color: true, gradient: true, ..RenderOptions::default() };
     let mut other = backend.render(&cloud, &scene.views[1].camera, Some(&views[1]), &beside)?;
     let mut sample = Sample {
         view: &views[0],
@@ -230,7 +232,15 @@ pub(super) fn round_trip<B: Backend>(backend: &B, scene: &Scene, report: &mut Re
 
 /// Three Adam steps against the equation, with the backend's own gradients.
 pub(super) fn adam<B: Backend>(backend: &B, scene: &Scene, report: &mut Report) {
-    let rates = Rates { means: 1e-3, scales: 5e-3, rotations: 2e-3, opacity: 0.05, color: 2.5e-3, harmonics: 1e-4 };
+    let rates = Rates {
+        means: 1e-3,
+        scales: 5e-3,
+        rotations: 2e-3,
+        opacity: 0.05,
+        color: 2.5e-3,
+        harmonics: 1e-4,
+        sparse: false,
+    };
     let weights = LossWeights { l1: 0.8, dssim: 0.2, ..NO_WEIGHTS };
     let mut state = scene.state.clone();
     for count in 1..=3 {

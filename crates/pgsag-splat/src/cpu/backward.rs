@@ -10,16 +10,14 @@
 //! ĝc_k = w ĝ_k,   ĝα = T d − rest / (1 − α),   v = α ĝα   (0 where alpha is held at its maximum)
 //! ```
 
-use std::sync::atomic::Ordering::Relaxed;
-
 use fearless_simd::{Simd, prelude::*};
 
 use super::{
     bins::place::{FEATURES, X, XX, XY, Y, YY},
     forward::{ALPHA_MAX, Tile, drawn_light, exponent_at},
-    lanes::{BLOCKS, LANE_X, LANE_Y, LANES, Line, exp2, sums},
-    layout::block_corner,
+    lanes::{BLOCKS, CENTER_X, CENTER_Y, LANES, Line, exp2, reciprocal, sums},
 };
+use crate::equations::algebra::each;
 use crate::equations::blend::{LOAD_CENTER, LOAD_STEEPNESS};
 
 /// Sums of one pair over the pixels of its tile; `(dx, dy)` from the Gaussian's centre.
@@ -55,7 +53,7 @@ pub(crate) struct Upstream<'a> {
     /// `[BLOCKS * (LEADING_PLANES + F)]`: rest, opacity sum, features.
     pub(crate) planes: &'a [Line],
     /// `[BLOCKS]` gradient of the load; read with `LOAD` alone.
-    pub(crate) load: Option<&'a [Line]>,
+    pub(crate) load: Option<&'a [Line; BLOCKS]>,
     /// `[pairs]` from the forward pass.
     pub(crate) blocks: &'a [u16],
 }
@@ -63,33 +61,37 @@ pub(crate) struct Upstream<'a> {
 /// Records that are fetched at a time: they lie anywhere, and together their latencies overlap.
 const BATCH: usize = 64;
 
-/// What the walk keeps per block: transmittance and the rest, and copies of the rest of the upstream planes.
-struct State<const P: usize> {
+/// What the walk keeps per block: transmittance and the rest.
+struct State {
     light: [Line; BLOCKS],
-    planes: [[Line; P]; BLOCKS],
+    rest: [Line; BLOCKS],
 }
 
 /// Writes the sums of every pair that covers a pixel to `out` (`[pairs]`); leaves the others alone.
-/// `F` features, `P` = F + 2 planes. `LOAD` adds the surrogate of Eq. 9 to ĝα, and then `plain` (`[pairs]`, else empty)
+/// `F` features from `FIRST` on, `P` = F + 2 planes. `LOAD` adds the surrogate of Eq. 9 to ĝα, and then `plain` (`[pairs]`, else empty)
 /// receives Σ v dx and Σ v dy without it, for the density statistics.
 #[inline(always)]
-pub(crate) fn unblend<S: Simd, const F: usize, const P: usize, const STATISTICS: bool, const LOAD: bool>(
+pub(crate) fn unblend<
+    S: Simd,
+    const FIRST: usize,
+    const F: usize,
+    const P: usize,
+    const STATISTICS: bool,
+    const LOAD: bool,
+>(
     simd: S,
     tile: &Tile<'_>,
     upstream: &Upstream<'_>,
     out: &mut [Line],
     plain: &mut [[f32; 2]],
 ) {
-    let mut state = State::<P> { light: drawn_light(tile.drawn), planes: [[Line::ZERO; P]; BLOCKS] };
-    for (to, from) in state.planes.iter_mut().zip(upstream.planes.chunks_exact(P)) {
-        to.copy_from_slice(from);
-    }
+    let mut state = State { light: drawn_light(tile.drawn), rest: each(|block| upstream.planes[block * P]) };
     let mut batch = [Line::ZERO; BATCH];
-    for pair in 0..tile.gaussians.len() {
+    // What lies behind the last pair that covers a pixel is not fetched.
+    let end = upstream.blocks.iter().rposition(|&blocks| blocks != 0).map_or(0, |last| last + 1);
+    for pair in 0..end {
         if pair % BATCH == 0 {
-            for (to, from) in batch.iter_mut().zip(&tile.gaussians[pair..]) {
-                *to = tile.records[from.load(Relaxed) as usize];
-            }
+            tile.fetch(&tile.gaussians[pair..end.min(pair + BATCH)], &mut batch);
         }
         if upstream.blocks[pair] == 0 {
             continue;
@@ -102,13 +104,22 @@ pub(crate) fn unblend<S: Simd, const F: usize, const P: usize, const STATISTICS:
             let block = bits.trailing_zeros() as usize % BLOCKS;
             bits &= bits - 1;
             for part in 0..LANES / S::f32s::LEN {
-                let at = Place { block, lane: part * S::f32s::LEN, load: upstream.load };
-                walk::<S, F, P, STATISTICS, LOAD>(simd, tile, record, &at, &mut state, &mut totals, &mut plain_totals);
+                let planes = &upstream.planes[block * P..][..P];
+                let at = Place { block, lane: part * S::f32s::LEN, planes, load: upstream.load };
+                walk::<S, FIRST, F, STATISTICS, LOAD>(
+                    simd,
+                    tile,
+                    record,
+                    &at,
+                    &mut state,
+                    &mut totals,
+                    &mut plain_totals,
+                );
             }
         }
         sums(simd, totals, &mut out[pair]);
         if LOAD && STATISTICS {
-            plain[pair] = plain_totals.map(|total| total.reduce_sum());
+            plain[pair] = each(|k| plain_totals[k].reduce_sum());
         }
     }
 }
@@ -117,25 +128,25 @@ pub(crate) fn unblend<S: Simd, const F: usize, const P: usize, const STATISTICS:
 struct Place<'a> {
     block: usize,
     lane: usize,
-    load: Option<&'a [Line]>,
+    /// Upstream planes of the block.
+    planes: &'a [Line],
+    load: Option<&'a [Line; BLOCKS]>,
 }
 
 #[inline(always)]
-fn walk<S: Simd, const F: usize, const P: usize, const STATISTICS: bool, const LOAD: bool>(
+fn walk<S: Simd, const FIRST: usize, const F: usize, const STATISTICS: bool, const LOAD: bool>(
     simd: S,
     tile: &Tile<'_>,
     record: &Line,
     at: &Place<'_>,
-    state: &mut State<P>,
+    state: &mut State,
     totals: &mut [S::f32s; 16],
     plain: &mut [S::f32s; 2],
 ) {
     let r = &record.0;
     let splat = |value: f32| S::f32s::splat(simd, value);
-    let (x, y) = block_corner(at.block);
-    let dx = LANE_X.load(simd, at.lane) + (tile.corner.0 + x) - r[X];
-    let dy = LANE_Y.load(simd, at.lane) + (tile.corner.1 + y) - r[Y];
-    let planes = &mut state.planes[at.block];
+    let dx = CENTER_X[at.block].load(simd, at.lane) - r[X];
+    let dy = CENTER_Y[at.block].load(simd, at.lane) - r[Y];
     let before = state.light[at.block].load(simd, at.lane);
 
     let exponent = exponent_at(simd, r, dx, dy);
@@ -145,18 +156,18 @@ fn walk<S: Simd, const F: usize, const P: usize, const STATISTICS: bool, const L
     let weight = alpha * before;
     let after = before - weight;
     state.light[at.block].store(simd, at.lane, after);
-    let inverse = splat(1.0) / (splat(1.0) - alpha);
+    let inverse = reciprocal(simd, splat(1.0) - alpha);
     let covered = reaches & after.simd_ge(splat(tile.cuts.stop));
     let weight = covered.select(weight, splat(0.0));
 
-    let mut along = planes[1].load(simd, at.lane);
+    let mut along = at.planes[1].load(simd, at.lane);
     for feature in 0..F {
-        let gradient = planes[LEADING_PLANES + feature].load(simd, at.lane);
-        along = gradient.mul_add(splat(r[FEATURES + feature]), along);
-        totals[sum::FEATURES + feature] = weight.mul_add(gradient, totals[sum::FEATURES + feature]);
+        let gradient = at.planes[LEADING_PLANES + feature].load(simd, at.lane);
+        along = gradient.mul_add(splat(r[FEATURES + FIRST + feature]), along);
+        totals[sum::FEATURES + FIRST + feature] = weight.mul_add(gradient, totals[sum::FEATURES + FIRST + feature]);
     }
-    let rest = planes[0].load(simd, at.lane) - weight * along;
-    planes[0].store(simd, at.lane, rest);
+    let rest = state.rest[at.block].load(simd, at.lane) - weight * along;
+    state.rest[at.block].store(simd, at.lane, rest);
     let mut d_alpha = before * along - rest * inverse;
     let moves = covered & free.simd_lt(splat(ALPHA_MAX));
     let alpha = moves.select(alpha, splat(0.0));

@@ -1,4 +1,4 @@
-//! The cloud on this device: parameters, gradients and Adam moments in groups of 16 Gaussians.
+//! The cloud on this device: parameters and Adam moments in groups of 16 Gaussians.
 //!
 //! A group is one line (16 lanes) per parameter, the parameters one after another: means 3, log scales 3,
 //! quaternion 4, logit 1, then harmonics, basis-major, R G B. A group is contiguous, so that sweeps over everything
@@ -6,6 +6,7 @@
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
+use fearless_simd::Level;
 use rayon::prelude::*;
 
 use crate::{
@@ -13,7 +14,11 @@ use crate::{
     cloud::SplatCloud,
 };
 
-use super::lanes::{LANES, Line};
+use super::{
+    bounds,
+    gradient::Pending,
+    lanes::{LANES, Line},
+};
 
 /// Places of parameters in a group.
 pub(crate) mod plane {
@@ -29,7 +34,7 @@ pub(crate) mod plane {
     pub(crate) const HARMONICS: usize = 11;
 }
 
-/// Parameters, gradients, moments and statistics of a cloud, for [`super::Cpu`].
+/// Parameters, moments and statistics of a cloud, for [`super::Cpu`].
 #[derive(Debug)]
 pub struct CpuCloud {
     pub(crate) origin_world: [f64; 3],
@@ -38,13 +43,16 @@ pub struct CpuCloud {
     /// Lines per group.
     pub(crate) planes: usize,
     pub(crate) values: Vec<Line>,
-    pub(crate) gradients: Vec<Line>,
     pub(crate) first: Vec<Line>,
     pub(crate) second: Vec<Line>,
-    /// Per group, whether `gradients` holds anything; else they are 0, whatever is there.
-    pub(crate) touched: Vec<bool>,
-    /// Gradients of planes from here on are 0, whatever is there.
-    pub(crate) gradient_planes: usize,
+    /// What `backward` left for Adam.
+    pub(crate) pending: Pending,
+    /// Per group, one bit for each Gaussian that covers a pixel; the others have no gradient.
+    pub(crate) touched: Vec<u16>,
+    /// Per group, whether some moment is not 0; where none is, a step without a gradient changes nothing.
+    pub(crate) moving: Vec<bool>,
+    /// Boxes about the groups: `bounds`.
+    pub(crate) boxes: Vec<Line>,
     /// Moments of planes from here on are 0.
     pub(crate) moment_planes: usize,
     /// All but `observed_count`, which is empty here.
@@ -55,7 +63,7 @@ pub struct CpuCloud {
 
 impl CpuCloud {
     /// Of a state; moments and statistics that are missing are 0.
-    pub(crate) fn new(state: &OptimizerState) -> Self {
+    pub(crate) fn new(level: Level, state: &OptimizerState) -> Self {
         let cloud = &state.cloud;
         let planes = plane::HARMONICS + 3 * cloud.basis_count();
         let lines = cloud.len().div_ceil(LANES) * planes;
@@ -64,17 +72,19 @@ impl CpuCloud {
         let mut statistics = state.statistics.clone();
         resize(&mut statistics, cloud.len());
         let observed = std::mem::take(&mut statistics.observed_count).into_iter().map(AtomicU32::new).collect();
+        let values = to_lines(cloud, planes, lines);
         Self {
             origin_world: cloud.origin_world,
             sh_degree: cloud.sh_degree,
             count: cloud.len(),
             planes,
-            values: to_lines(cloud, planes, lines),
-            gradients: vec![Line::ZERO; lines],
+            moving: moving(&first, &second, planes),
+            boxes: bounds::boxes(level, &values, planes),
+            values,
             first,
             second,
-            touched: vec![false; cloud.len().div_ceil(LANES)],
-            gradient_planes: plane::HARMONICS + 3,
+            touched: vec![0; cloud.len().div_ceil(LANES)],
+            pending: Pending::default(),
             moment_planes,
             statistics,
             observed,
@@ -84,9 +94,9 @@ impl CpuCloud {
     /// Reads everything back.
     pub(crate) fn state(&self) -> OptimizerState {
         OptimizerState {
-            cloud: self.to_cloud(&self.values, |_, _| true),
-            first: self.to_cloud(&self.first, |_, _| true),
-            second: self.to_cloud(&self.second, |_, _| true),
+            cloud: self.to_cloud(&self.values),
+            first: self.to_cloud(&self.first),
+            second: self.to_cloud(&self.second),
             statistics: self.statistics_now(),
         }
     }
@@ -105,21 +115,14 @@ impl CpuCloud {
         self.observed = (0..self.count).map(|_| AtomicU32::new(0)).collect();
     }
 
-    /// Reads the gradients back.
-    pub(crate) fn gradient_cloud(&self) -> SplatCloud {
-        self.to_cloud(&self.gradients, |group, plane| self.touched[group] && plane < self.gradient_planes)
-    }
-
-    fn to_cloud(&self, lines: &[Line], holds: impl Fn(usize, usize) -> bool + Sync) -> SplatCloud {
-        let at = |i: usize, plane: usize| {
-            let group = i / LANES;
-            if holds(group, plane) { lines[group * self.planes + plane].0[i % LANES] } else { 0.0 }
-        };
+    /// Lines laid out as the parameters, as a cloud.
+    pub(crate) fn to_cloud(&self, lines: &[Line]) -> SplatCloud {
+        let at = |i: usize, plane: usize| lines[i / LANES * self.planes + plane].0[i % LANES];
         let rows = (0..self.count).into_par_iter();
         let width = self.planes - plane::HARMONICS;
         let mut harmonics = vec![0.0; self.count * width];
         harmonics.par_chunks_mut(LANES * width).enumerate().for_each(|(group, out)| {
-            for p in (0..width).filter(|p| holds(group, plane::HARMONICS + p)) {
+            for p in 0..width {
                 let line = &lines[group * self.planes + plane::HARMONICS + p];
                 out.iter_mut().skip(p).step_by(width).zip(line.0).for_each(|(to, from)| *to = from);
             }
@@ -136,7 +139,7 @@ impl CpuCloud {
     }
 
     /// Clone, split, prune. The moments of births are 0; statistics begin anew.
-    pub(crate) fn reshape(&mut self, plan: &DensityPlan) {
+    pub(crate) fn reshape(&mut self, level: Level, plan: &DensityPlan) {
         let count = plan.keep.len() + plan.births.len();
         let parents: Vec<u32> = plan.keep.iter().copied().chain(plan.births.iter().map(|birth| birth.parent)).collect();
         self.values = self.gathered(&self.values, &parents);
@@ -145,8 +148,8 @@ impl CpuCloud {
         let groups = count.div_ceil(LANES);
         self.first.resize(groups * self.planes, Line::ZERO);
         self.second.resize(groups * self.planes, Line::ZERO);
-        self.gradients = vec![Line::ZERO; groups * self.planes];
-        self.touched = vec![false; groups];
+        self.pending.clear();
+        self.touched = vec![0; groups];
         self.count = count;
         for (i, birth) in plan.births.iter().enumerate() {
             let (group, lane) = ((plan.keep.len() + i) / LANES, (plan.keep.len() + i) % LANES);
@@ -162,6 +165,8 @@ impl CpuCloud {
         if let Some(ceiling) = plan.opacity_ceiling {
             self.lower_opacities(ceiling);
         }
+        self.moving = moving(&self.first, &self.second, self.planes);
+        self.boxes = bounds::boxes(level, &self.values, self.planes);
         self.reset_statistics();
     }
 
@@ -192,6 +197,12 @@ impl CpuCloud {
             }
         }
     }
+}
+
+/// Per group of `planes` lines, whether some moment is not 0.
+fn moving(first: &[Line], second: &[Line], planes: usize) -> Vec<bool> {
+    let any = |lines: &[Line]| lines.iter().any(|line| *line != Line::ZERO);
+    first.par_chunks_exact(planes).zip(second.par_chunks_exact(planes)).map(|(a, b)| any(a) || any(b)).collect()
 }
 
 /// Makes every list as long as the cloud; what is new is 0.

@@ -14,9 +14,10 @@ use super::{
         CULL_MARGIN,
         place::{FEATURES, PEAK, SLOPE_X, SLOPE_Y, X, XX, XY, Y, YY},
     },
-    lanes::{BLOCK, BLOCKS, LANE_X, LANE_Y, LANES, Line, exp2},
+    lanes::{BLOCK, BLOCKS, CENTER_X, CENTER_Y, LANES, Line, exp2},
     layout::block_corner,
 };
+use crate::equations::algebra::each;
 
 /// Alpha is held below this, so that no Gaussian hides everything behind it. 3DGS.
 pub(crate) const ALPHA_MAX: f32 = 0.99;
@@ -47,6 +48,22 @@ pub(crate) struct Tile<'a> {
     pub(crate) cuts: Cuts,
 }
 
+impl Tile<'_> {
+    /// Fetches the records of some Gaussians of the list, their centres relative to the tile's corner: with the same
+    /// rounding in both passes, so that both decide the same. Records lie anywhere: they are copied first, all latencies
+    /// overlapping, and looked at then.
+    #[inline(always)]
+    pub(crate) fn fetch(&self, gaussians: &[AtomicU32], records: &mut [Line]) {
+        for (to, gaussian) in records.iter_mut().zip(gaussians) {
+            *to = self.records[gaussian.load(Relaxed) as usize];
+        }
+        for record in records.iter_mut().take(gaussians.len()) {
+            record.0[X] -= self.corner.0;
+            record.0[Y] -= self.corner.1;
+        }
+    }
+}
+
 /// What blending writes. `planes` are `F` features and the sum of weights, `[block][F + 1]`, zeroed by the caller.
 pub(crate) struct Blend<'a> {
     /// `[BLOCKS * (F + 1)]`
@@ -68,17 +85,17 @@ struct Batch {
 const CULLED: [usize; 8] = [X, Y, XX, XY, YY, PEAK, SLOPE_Y, SLOPE_X];
 
 impl Batch {
+    #[inline(always)]
     fn fill(&mut self, tile: &Tile<'_>, gaussians: &[AtomicU32]) {
-        for (i, gaussian) in gaussians.iter().enumerate() {
-            let record = &tile.records[gaussian.load(Relaxed) as usize];
-            self.records[i] = *record;
+        tile.fetch(gaussians, &mut self.records);
+        for (i, record) in self.records.iter().enumerate().take(gaussians.len()) {
             for (field, &at) in self.fields.iter_mut().zip(&CULLED) {
                 field[i] = record.0[at];
             }
         }
     }
 
-    /// The Gaussians of the batch whose ellipse reaches a pixel centre of the block at `corner`; a few more, never fewer.
+    /// The Gaussians of the batch whose ellipse reaches a pixel centre of the block at `corner` of the tile; a few more, never fewer.
     /// The exponent is concave, so over a box it is largest on one of the two edges that face the centre, at the point
     /// of that edge where the slope through the centre says so.
     #[inline(always)]
@@ -88,7 +105,7 @@ impl Batch {
         let mut at = 0;
         while at < count {
             let [x, y, xx, xy, yy, peak, slope_y, slope_x] =
-                std::array::from_fn(|f| S::f32s::from_slice(simd, &self.fields[f][at..at + S::f32s::LEN]));
+                each(|f| S::f32s::from_slice(simd, &self.fields[f][at..at + S::f32s::LEN]));
             let (left, top) = (S::f32s::splat(simd, corner.0 + 0.5) - x, S::f32s::splat(simd, corner.1 + 0.5) - y);
             let (right, bottom) = (left + (BLOCK - 1) as f32, top + (BLOCK - 1) as f32);
             let near_x = left.max(zero.min(right));
@@ -116,14 +133,16 @@ struct Part<'a> {
     block: usize,
     /// First lane.
     lane: usize,
-    /// First pixel of the block.
-    corner: (f32, f32),
     cuts: Cuts,
 }
 
-/// Blends one tile. `F` features: 3 or 7.
+/// Blends one tile: `F` features from `FIRST` on.
 #[inline(always)]
-pub(crate) fn blend<S: Simd, const F: usize, const COUNTS: bool>(simd: S, tile: &Tile<'_>, out: &mut Blend<'_>) {
+pub(crate) fn blend<S: Simd, const FIRST: usize, const F: usize, const COUNTS: bool>(
+    simd: S,
+    tile: &Tile<'_>,
+    out: &mut Blend<'_>,
+) {
     let parts = LANES / S::f32s::LEN;
     let all_parts = (1u64 << parts) - 1;
     let mut batch = Batch { records: [Line::ZERO; BATCH], fields: [[0.0; BATCH]; 8] };
@@ -143,16 +162,15 @@ pub(crate) fn blend<S: Simd, const F: usize, const COUNTS: bool>(simd: S, tile: 
             if alive == 0 {
                 continue;
             }
-            let (x, y) = block_corner(block);
-            let corner = (tile.corner.0 + x, tile.corner.1 + y);
-            let bits = batch.reaching(simd, gaussians.len(), corner, tile.cuts);
+            let bits = batch.reaching(simd, gaussians.len(), block_corner(block), tile.cuts);
             if bits == 0 {
                 continue;
             }
             for part in 0..parts {
                 let lane = part * S::f32s::LEN;
-                let at = Part { batch: &batch, first_pair: index * BATCH, block, lane, corner, cuts: tile.cuts };
-                if alive >> part & 1 != 0 && !blend_part::<S, F, COUNTS>(simd, &at, bits, &mut light[block], out) {
+                let at = Part { batch: &batch, first_pair: index * BATCH, block, lane, cuts: tile.cuts };
+                if alive >> part & 1 != 0 && !blend_part::<S, FIRST, F, COUNTS>(simd, &at, bits, &mut light[block], out)
+                {
                     live &= !(1 << (block * parts + part));
                 }
             }
@@ -163,13 +181,13 @@ pub(crate) fn blend<S: Simd, const F: usize, const COUNTS: bool>(simd: S, tile: 
 /// Transmittance before the first Gaussian: 1, and 0 where nothing is drawn, so that nothing is.
 #[inline(always)]
 pub(crate) fn drawn_light(drawn: &[u16; BLOCKS]) -> [Line; BLOCKS] {
-    drawn.map(|bits| Line(std::array::from_fn(|lane| f32::from(bits >> lane & 1))))
+    each(|block| Line(each(|lane| f32::from(drawn[block] >> lane & 1))))
 }
 
 /// Blends the Gaussians `bits` of a batch; false when no pixel lets enough light through any more.
 /// `light` keeps falling past the stop, and tells by being below it that the pixel has stopped.
 #[inline(always)]
-fn blend_part<S: Simd, const F: usize, const COUNTS: bool>(
+fn blend_part<S: Simd, const FIRST: usize, const F: usize, const COUNTS: bool>(
     simd: S,
     at: &Part<'_>,
     mut bits: u64,
@@ -178,8 +196,7 @@ fn blend_part<S: Simd, const F: usize, const COUNTS: bool>(
 ) -> bool {
     let zero = S::f32s::splat(simd, 0.0);
     let (cut, stop) = (S::f32s::splat(simd, at.cuts.alpha_log2), S::f32s::splat(simd, at.cuts.stop));
-    let x = LANE_X.load(simd, at.lane) + at.corner.0;
-    let y = LANE_Y.load(simd, at.lane) + at.corner.1;
+    let (x, y) = (CENTER_X[at.block].load(simd, at.lane), CENTER_Y[at.block].load(simd, at.lane));
     let planes: &mut [Line] = &mut out.planes[at.block * (F + 1)..][..F + 1];
     let pairs = &mut out.blocks[at.first_pair..];
     let mut sums = [zero; 8];
@@ -202,7 +219,7 @@ fn blend_part<S: Simd, const F: usize, const COUNTS: bool>(
         let covered = reaches & passes;
         let weight = covered.select(weight, zero);
         for feature in 0..F {
-            sums[feature] = weight.mul_add(S::f32s::splat(simd, r[FEATURES + feature]), sums[feature]);
+            sums[feature] = weight.mul_add(S::f32s::splat(simd, r[FEATURES + FIRST + feature]), sums[feature]);
         }
         sums[F] += weight;
         pairs[i] |= u16::from(covered.any_true()) << at.block;

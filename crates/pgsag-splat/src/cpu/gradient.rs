@@ -1,15 +1,12 @@
-//! From the sums over pixels back to the stored parameters, 16 Gaussians at a time, and the density statistics.
+//! From sums per Gaussian back to the stored parameters, 16 Gaussians at a time.
 //!
-//! The pairs of a Gaussian are added in their fixed order, so the result does not depend on threads.
-
-use std::sync::atomic::Ordering::Relaxed;
+//! Gradients are made where they are used, a group at a time (by `adam`, or to be read): they are never stored whole.
 
 use fearless_simd::Level;
 use rayon::prelude::*;
 
 use super::{
     backward::sum,
-    bins::{Bins, Entry},
     cloud::{CpuCloud, plane},
     lanes::{LANES, Line, at_level},
     project::{Ellipses, GROUPS, Lanes, coefficients},
@@ -24,188 +21,173 @@ use crate::equations::{
     projection::{self, Lens},
 };
 
-/// What the blending of one render left behind.
-#[derive(Clone, Copy)]
-pub(crate) struct Sums<'a> {
-    /// Entries, and places of pairs.
-    pub(crate) bins: &'a Bins,
-    /// `[pairs]` blocks in which a pair covers a pixel; 0: it has no sums.
-    pub(crate) blocks: &'a [u16],
-    /// `[pairs]`
-    pub(crate) pairs: &'a [Line],
-    /// `[pairs]` Σ v dx, Σ v dy without the load, where they differ; else empty.
-    pub(crate) plain: &'a [[f32; 2]],
-}
-
-/// How to go back.
-#[derive(Clone, Copy)]
-pub(crate) struct Return<'a> {
+/// How to go back through one render.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Return {
     /// The camera.
-    pub(crate) camera: &'a ViewCamera,
+    pub(crate) camera: ViewCamera,
     /// Degree of harmonics in use.
     pub(crate) sh_degree: u8,
     /// Whether normals and distances were drawn.
     pub(crate) planes: bool,
-    /// Add to the gradients at hand instead of replacing them.
-    pub(crate) accumulate: bool,
+    /// Whether colours were drawn.
+    pub(crate) color: bool,
     /// Gradient of the smallest scale of every visible Gaussian, per scene unit.
     pub(crate) d_smallest_scale: f32,
-    /// Where statistics are asked for: pixels over which the photometric term averages.
-    pub(crate) averaged_pixels: Option<f32>,
 }
 
-/// Gradients of all parameters.
-pub(crate) fn gradients(level: Level, cloud: &mut CpuCloud, sums: &Sums<'_>, back: &Return<'_>) {
-    let (planes, count) = (cloud.planes, cloud.count);
-    let used = plane::HARMONICS + 3 * harmonics::basis_count(back.sh_degree);
-    cloud.gradient_planes = if back.accumulate { cloud.gradient_planes.max(used) } else { used };
-    let used = cloud.gradient_planes;
-    let statistics = &mut cloud.statistics;
-    let chunk = GROUPS * LANES;
-    let parts = statistics
-        .gradient
-        .par_chunks_mut(chunk)
-        .zip(statistics.absolute_gradient.par_chunks_mut(chunk))
-        .zip(statistics.visible_count.par_chunks_mut(chunk))
-        .zip(statistics.radius_px.par_chunks_mut(chunk));
-    cloud
-        .gradients
-        .par_chunks_mut(GROUPS * planes)
-        .zip(cloud.values.par_chunks(GROUPS * planes))
-        .zip(cloud.touched.par_chunks_mut(GROUPS))
-        .zip(parts)
-        .enumerate()
-        .for_each(|(task, (((gradients, values), touched), (((gradient, absolute), visible), radius)))| {
-            let first = task * chunk;
-            let from = sums.bins.entries.partition_point(|entry| (entry.gaussian as usize) < first);
-            let statistics = Statistics { gradient, absolute, visible, radius };
-            let mut task = Task { sums, back, planes, used, first, statistics };
-            let entries = &sums.bins.entries[from..];
-            debug_assert!(count > first);
-            at_level!(level, simd => task.run(simd, entries, values, gradients, touched));
-        });
+impl Return {
+    /// Planes that get a gradient.
+    fn used_planes(&self) -> usize {
+        plane::HARMONICS + if self.color { 3 * harmonics::basis_count(self.sh_degree) } else { 0 }
+    }
 }
 
-struct Statistics<'a> {
-    gradient: &'a mut [f32],
-    absolute: &'a mut [f32],
-    visible: &'a mut [u32],
-    radius: &'a mut [f32],
-}
-
-struct Task<'a> {
-    sums: &'a Sums<'a>,
-    back: &'a Return<'a>,
-    planes: usize,
-    /// Planes with gradients.
-    used: usize,
-    /// First Gaussian of the task.
-    first: usize,
-    statistics: Statistics<'a>,
-}
-
-/// Sums over a group, by what is summed, then by lane.
-struct GroupSums {
-    totals: [Line; 16],
-    plain: [Line; 2],
+/// Sums of a group, by what is summed, then by lane.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Totals {
+    lines: [Line; sum::ABSOLUTE_U],
     /// 1 for lanes with sums.
     visible: Line,
 }
 
-impl Task<'_> {
+impl Totals {
+    /// Of the sums of each lane, 0 but for lanes with a bit in `visible`.
     #[inline(always)]
-    fn run<S: Carried>(
-        &mut self,
-        simd: S,
-        mut entries: &[Entry],
-        values: &[Line],
-        gradients: &mut [Line],
-        touched: &mut [bool],
-    ) {
-        simd.carry();
-        let lens = Lens::<Wide<S>>::new(self.back.camera);
-        for (group, touched) in touched.iter_mut().enumerate() {
-            let first = self.first + group * LANES;
-            let split =
-                entries.iter().take(LANES).take_while(|entry| (entry.gaussian as usize) < first + LANES).count();
-            let (own, rest) = entries.split_at(split);
-            entries = rest;
-            let lines = &mut gradients[group * self.planes..][..self.used];
-            let Some(sums) = self.group_sums(first, own) else {
-                *touched &= self.back.accumulate;
+    pub(crate) fn of(rows: &[Line; LANES], visible: u16) -> Self {
+        let mut totals = Self { lines: [Line::ZERO; sum::ABSOLUTE_U], visible: Line::ZERO };
+        for (lane, row) in rows.iter().enumerate() {
+            for (line, value) in totals.lines.iter_mut().zip(row.0) {
+                line.0[lane] = value;
+            }
+            totals.visible.0[lane] = f32::from(visible >> lane & 1);
+        }
+        totals
+    }
+}
+
+/// Sums of the groups of one task that have any.
+#[derive(Debug, Default)]
+pub(crate) struct TaskSums {
+    groups: Vec<u8>,
+    sums: Vec<Totals>,
+}
+
+impl TaskSums {
+    /// Adds a group; groups come in ascending order.
+    pub(crate) fn push(&mut self, group: usize, sums: Totals) {
+        self.groups.push(group as u8);
+        self.sums.push(sums);
+    }
+}
+
+/// Sums of the renders of one step, by render, then by task of [`GROUPS`] groups. Buffers are kept between steps.
+#[derive(Debug, Default)]
+pub(crate) struct Pending {
+    renders: [Option<Return>; 2],
+    tasks: [Vec<TaskSums>; 2],
+}
+
+impl Pending {
+    /// Makes room for a render, in place of all others or beside the first.
+    pub(crate) fn begin(&mut self, back: Return, beside: bool, tasks: usize) -> &mut [TaskSums] {
+        if !beside {
+            self.renders = [None; 2];
+        }
+        let at = usize::from(beside);
+        self.renders[at] = Some(back);
+        self.tasks[at].resize_with(tasks, TaskSums::default);
+        for task in &mut self.tasks[at] {
+            task.groups.clear();
+            task.sums.clear();
+        }
+        &mut self.tasks[at]
+    }
+
+    /// Forgets everything.
+    pub(crate) fn clear(&mut self) {
+        self.renders = [None; 2];
+    }
+
+    /// Planes that get a gradient.
+    pub(crate) fn used_planes(&self) -> usize {
+        self.renders.iter().flatten().map(Return::used_planes).max().unwrap_or(plane::HARMONICS)
+    }
+
+    /// The gradients of one task's groups, one after another.
+    #[inline(always)]
+    pub(crate) fn walk<S: Carried>(&self, task: usize) -> Walk<'_, S> {
+        let side = |at: usize| {
+            let back = self.renders[at].as_ref()?;
+            Some(Side { back, sums: &self.tasks[at][task], at: 0, lens: Lens::new(&back.camera) })
+        };
+        Walk { sides: [side(0), side(1)], used: self.used_planes() }
+    }
+}
+
+/// Where a walk is in one render.
+struct Side<'a, S: Carried> {
+    back: &'a Return,
+    sums: &'a TaskSums,
+    at: usize,
+    lens: Lens<Wide<S>>,
+}
+
+/// Goes through the groups of a task.
+pub(crate) struct Walk<'a, S: Carried> {
+    sides: [Option<Side<'a, S>>; 2],
+    /// Planes that get a gradient.
+    used: usize,
+}
+
+impl<S: Carried> Walk<'_, S> {
+    /// Writes the gradient of `group` to the first planes of `lines`; whether it has one. Groups in ascending order.
+    #[inline(always)]
+    pub(crate) fn next(&mut self, group: usize, values: &[Line], lines: &mut [Line]) -> bool {
+        let lines = &mut lines[..self.used];
+        let mut fresh = true;
+        for side in self.sides.iter_mut().flatten() {
+            if side.sums.groups.get(side.at) != Some(&(group as u8)) {
                 continue;
-            };
-            let fresh = !*touched || !self.back.accumulate;
-            *touched = true;
+            }
+            let sums = &side.sums.sums[side.at];
+            side.at += 1;
             if fresh {
-                lines[plane::HARMONICS + 3 * harmonics::basis_count(self.back.sh_degree)..].fill(Line::ZERO);
+                lines[side.back.used_planes()..].fill(Line::ZERO);
             }
-            let values = &values[group * self.planes..][..self.planes];
-            let mut measures = [Line::ZERO; 4];
             for at in (0..LANES).step_by(Wide::<S>::LEN) {
-                let mut out = Out { lines, at, visible: Wide::<S>::zero().less(Wide::load(&sums.visible, at)), fresh };
-                group_gradients(&lens, self.back, values, &sums, &mut out, &mut measures);
+                let visible = Wide::<S>::zero().less(Wide::load(&sums.visible, at));
+                let mut out = Out { lines: &mut *lines, at, visible, fresh };
+                group_gradients(&side.lens, side.back, values, sums, &mut out);
             }
-            if self.back.averaged_pixels.is_some() {
-                self.count(group * LANES, &sums, &measures);
-            }
+            fresh = false;
         }
+        !fresh
     }
+}
 
-    /// Adds up the pairs of a group's Gaussians; `None` where none covers a pixel.
-    #[inline(always)]
-    fn group_sums(&self, first: usize, entries: &[Entry]) -> Option<GroupSums> {
-        let mut group = GroupSums { totals: [Line::ZERO; 16], plain: [Line::ZERO; 2], visible: Line::ZERO };
-        let mut any = false;
-        for entry in entries {
-            let (mut total, mut plain, mut visible) = (Line::ZERO, [0.0f32; 2], false);
-            for pair in entry.first..entry.first + entry.count {
-                let place = self.sums.bins.places[pair as usize].load(Relaxed) as usize;
-                if self.sums.blocks[place] != 0 {
-                    visible = true;
-                    for (to, from) in total.0.iter_mut().zip(&self.sums.pairs[place].0) {
-                        *to += from;
-                    }
-                    if let Some(own) = self.sums.plain.get(place) {
-                        plain = [plain[0] + own[0], plain[1] + own[1]];
-                    }
-                }
-            }
-            if visible {
-                any = true;
-                let lane = entry.gaussian as usize - first;
-                for (line, value) in group.totals.iter_mut().zip(total.0) {
-                    line.0[lane] = value;
-                }
-                if self.sums.plain.is_empty() {
-                    plain = [total.0[sum::VX], total.0[sum::VY]];
-                }
-                group.plain[0].0[lane] = plain[0];
-                group.plain[1].0[lane] = plain[1];
-                group.visible.0[lane] = 1.0;
-            }
-        }
-        any.then_some(group)
-    }
+/// The gradients of everything, laid out as the parameters.
+pub(crate) fn all(level: Level, cloud: &CpuCloud) -> Vec<Line> {
+    let mut out = vec![Line::ZERO; cloud.values.len()];
+    let chunk = GROUPS * cloud.planes;
+    out.par_chunks_mut(chunk).zip(cloud.values.par_chunks(chunk)).enumerate().for_each(|(task, (out, values))| {
+        at_level!(level, simd => all_of_task(simd, &cloud.pending, task, (values, out), cloud.planes));
+    });
+    out
+}
 
-    /// Adds one group to the statistics. `measures`: A, B, C of the conic, radius.
-    fn count(&mut self, first: usize, sums: &GroupSums, measures: &[Line; 4]) {
-        let pixels = self.back.averaged_pixels.unwrap_or(0.0);
-        for lane in 0..LANES {
-            let covered = sums.totals[sum::COVERED].0[lane];
-            if covered == 0.0 {
-                continue;
-            }
-            let i = first + lane;
-            let [a, b, c, radius] = measures.map(|line| line.0[lane]);
-            let [vx, vy] = [sums.plain[0].0[lane], sums.plain[1].0[lane]];
-            let (du, dv) = (a * vx + b * vy, b * vx + c * vy);
-            let [au, av] = [sum::ABSOLUTE_U, sum::ABSOLUTE_V].map(|k| sums.totals[k].0[lane] * std::f32::consts::LN_2);
-            self.statistics.gradient[i] += (du * du + dv * dv).sqrt() * pixels / covered;
-            self.statistics.absolute[i] += (au * au + av * av).sqrt() * pixels / covered;
-            self.statistics.visible[i] += 1;
-            self.statistics.radius[i] = self.statistics.radius[i].max(radius);
-        }
+#[inline(always)]
+fn all_of_task<S: Carried>(
+    simd: S,
+    pending: &Pending,
+    task: usize,
+    (values, out): (&[Line], &mut [Line]),
+    planes: usize,
+) {
+    simd.carry();
+    let mut walk = pending.walk::<S>(task);
+    for (group, (values, out)) in values.chunks_exact(planes).zip(out.chunks_exact_mut(planes)).enumerate() {
+        walk.next(group, values, out);
     }
 }
 
@@ -232,21 +214,17 @@ impl<S: Carried> Out<'_, S> {
 #[inline(always)]
 fn group_gradients<S: Carried>(
     lens: &Lens<Wide<S>>,
-    back: &Return<'_>,
+    back: &Return,
     values: &[Line],
-    sums: &GroupSums,
+    sums: &Totals,
     out: &mut Out<'_, S>,
-    measures: &mut [Line; 4],
 ) {
     let at = out.at;
     let lanes = Lanes { values, at };
-    let totals = Lanes { values: &sums.totals, at };
+    let totals = Lanes { values: &sums.lines, at };
     let ellipses = Ellipses::new(lens, lanes);
     let half = Wide::<S>::from_f64(-0.5);
     let [a, b, c] = ellipses.conic;
-    for (line, value) in measures.iter_mut().zip([a, b, c, projection::radius(ellipses.screen_covariance)]) {
-        value.store(line, at);
-    }
 
     let (vx, vy) = (totals.one(sum::VX), totals.one(sum::VY));
     let d_conic = [half * totals.one(sum::VXX), -totals.one(sum::VXY), half * totals.one(sum::VYY)];
@@ -257,15 +235,18 @@ fn group_gradients<S: Carried>(
     let (mut d_rotation, d_scales) = covariance::covariance_grad(&ellipses.rotation, ellipses.scales, &d_covariance);
 
     let mean: Vec3<Wide<S>> = lanes.three(plane::MEAN);
-    let (direction, reach) = harmonics::direction(mean, lens.eye);
-    let held = coefficients(back.sh_degree, lanes);
-    let rgb = harmonics::color(&held, direction, back.sh_degree);
-    let d_rgb = totals.three(sum::FEATURES);
-    let (d_held, d_direction) = harmonics::color_grad(&held, direction, back.sh_degree, rgb, d_rgb);
-    let mut d_mean = harmonics::direction_grad(direction, reach, d_direction);
-    for l in 0..harmonics::basis_count(back.sh_degree) {
-        for channel in 0..3 {
-            out.add(plane::HARMONICS + 3 * l + channel, d_held[l][channel]);
+    let mut d_mean = [Wide::zero(); 3];
+    if back.color {
+        let (direction, reach) = harmonics::direction(mean, lens.eye);
+        let held = coefficients(back.sh_degree, lanes);
+        let rgb = harmonics::color(&held, direction, back.sh_degree);
+        let d_rgb = totals.three(sum::FEATURES);
+        let (d_held, d_direction) = harmonics::color_grad(&held, direction, back.sh_degree, rgb, d_rgb);
+        d_mean = harmonics::direction_grad(direction, reach, d_direction);
+        for l in 0..harmonics::basis_count(back.sh_degree) {
+            for channel in 0..3 {
+                out.add(plane::HARMONICS + 3 * l + channel, d_held[l][channel]);
+            }
         }
     }
     if back.planes {

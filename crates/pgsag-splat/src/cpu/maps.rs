@@ -1,17 +1,17 @@
 //! Between block order, in which tiles are drawn, and rows, in which losses and readers think.
 
-use fearless_simd::Level;
 use rayon::prelude::*;
 
 use super::{
     backward::LEADING_PLANES,
-    lanes::{BLOCK, BLOCKS, LANES, Line, TILE, at_level},
+    lanes::{BLOCK, BLOCKS, LANES, Line, TILE},
     layout::{Layout, of_tile, place},
-    render::CpuRender,
+    render::{CpuRender, FEATURES_MAX},
 };
-use crate::losses::{MapGradients, RenderedMaps};
+use crate::losses::RenderedMaps;
 
-/// Row-major maps of a render, one per channel, 0 where nothing is drawn. Reused from step to step.
+/// Row-major maps of a render, one per channel. Reused from step to step: only the load is 0 where nothing is drawn, other
+/// maps are where they are new, and losses look at drawn pixels alone.
 #[derive(Debug, Default)]
 pub(crate) struct Rows {
     pub(crate) color: [Vec<f32>; 3],
@@ -22,20 +22,23 @@ pub(crate) struct Rows {
 }
 
 impl Rows {
-    /// Reads a render.
+    /// Reads a render. Maps of what it does not draw are empty.
     pub(crate) fn fill(&mut self, render: &CpuRender) {
-        let planes = render.options.planes;
-        let stride = render.features() + 1;
+        let features = render.features();
+        let stride = features.len() + 1;
         let Self { color: [r, g, b], normal: [x, y, z], distance, opacity, load } = self;
-        let maps = if planes {
-            vec![r, g, b, x, y, z, distance, opacity]
-        } else {
-            [x, y, z, distance].into_iter().for_each(|map| map.clear());
-            vec![r, g, b, opacity]
-        };
-        rows(&render.layout, &render.buffers.planes, stride, maps);
+        let mut maps = Vec::with_capacity(FEATURES_MAX + 1);
+        for (feature, map) in [r, g, b, x, y, z, distance].into_iter().enumerate() {
+            if features.contains(&feature) {
+                maps.push(map);
+            } else {
+                map.clear();
+            }
+        }
+        maps.push(opacity);
+        rows(&render.layout, &render.buffers.planes, stride, maps, false);
         match render.options.load {
-            true => rows(&render.layout, &render.buffers.load, 1, vec![load]),
+            true => rows(&render.layout, &render.buffers.load, 1, vec![load], true),
             false => load.clear(),
         }
     }
@@ -53,8 +56,8 @@ impl Rows {
 }
 
 /// Fills row-major maps from the planes of a block-ordered one, `stride` of them to a block. Pixels of drawn tiles that
-/// are not drawn are 0 there.
-fn rows(layout: &Layout, lines: &[Line], stride: usize, maps: Vec<&mut Vec<f32>>) {
+/// are not drawn are 0 there. Other tiles become 0 with `whole`, else keep what an earlier render left (0 in new maps).
+fn rows(layout: &Layout, lines: &[Line], stride: usize, maps: Vec<&mut Vec<f32>>, whole: bool) {
     let (width, height) = (layout.width as usize, layout.height as usize);
     let mut bands: Vec<Vec<&mut [f32]>> = Vec::new();
     bands.resize_with(height.div_ceil(TILE), Vec::new);
@@ -65,7 +68,7 @@ fn rows(layout: &Layout, lines: &[Line], stride: usize, maps: Vec<&mut Vec<f32>>
     bands.into_par_iter().enumerate().for_each(|(row, mut band)| {
         let first = layout.tiles.partition_point(|&tile| tile < row as u32 * layout.columns);
         let end = layout.tiles.partition_point(|&tile| tile < (row as u32 + 1) * layout.columns);
-        if end - first < layout.columns as usize {
+        if whole && end - first < layout.columns as usize {
             band.iter_mut().for_each(|band| band.fill(0.0));
         }
         for slot in first..end {
@@ -93,33 +96,39 @@ fn copy_run(to: &mut [f32], from: &[f32]) {
     }
 }
 
-/// Takes the gradients of the losses into block order, with the rest Σ ĝ C of every pixel. Gradients at pixels that are
-/// not drawn are copied too, and reach nothing: no light passes there.
-pub(crate) fn take_gradients(level: Level, render: &mut CpuRender, gradients: &MapGradients<f32>) {
-    let features = render.features();
-    let stride = LEADING_PLANES + features;
-    let [r, g, b] = &gradients.color;
-    let [x, y, z] = &gradients.normal;
-    let maps = [&gradients.opacity, r, g, b, x, y, z, &gradients.distance];
-    let maps = &maps[..=features];
-    let none = maps.iter().all(|map| map.is_empty());
-    let tiles = render.layout.tiles.len();
-    let load = !gradients.load.is_empty();
-    render.buffers.load_gradient.resize(if load { tiles * BLOCKS } else { 0 }, Line::ZERO);
-    render.buffers.upstream.resize(if none && !load { 0 } else { tiles * BLOCKS * stride }, Line::ZERO);
-    let (layout, drawn) = (&render.layout, &render.buffers.planes);
-    render.buffers.upstream.par_chunks_mut(BLOCKS * stride).enumerate().for_each(|(slot, out)| {
-        let drawn = of_tile(drawn, slot, features + 1);
-        at_level!(level, _simd => {
-            for (plane, map) in maps.iter().enumerate() {
-                put(layout, slot, out, (stride, plane + 1), map);
-            }
-            rests(out, drawn, features)
-        });
-    });
-    render.buffers.load_gradient.par_chunks_mut(BLOCKS).enumerate().for_each(|(slot, out)| {
-        put(layout, slot, out, (1, 0), &gradients.load);
-    });
+/// Upstream gradients of one tile in block order, with the rest Σ ĝ C of every pixel. Gradients at pixels that are not
+/// drawn are copied too, and reach nothing: no light passes there.
+pub(crate) struct TileGradients {
+    /// `[BLOCKS * (LEADING_PLANES + F)]`: rest, opacity sum, features.
+    pub(crate) planes: [Line; BLOCKS * (LEADING_PLANES + FEATURES_MAX)],
+    /// `[BLOCKS]`
+    pub(crate) load: [Line; BLOCKS],
+}
+
+impl TileGradients {
+    /// All 0.
+    pub(crate) const ZERO: Self =
+        Self { planes: [Line::ZERO; BLOCKS * (LEADING_PLANES + FEATURES_MAX)], load: [Line::ZERO; BLOCKS] };
+
+    /// Of the tile in `slot`, whose drawn planes are `drawn`. Inlined into vector code.
+    #[inline(always)]
+    pub(crate) fn take(&mut self, render: &CpuRender, slot: usize, drawn: &[Line]) {
+        let (layout, gradients) = (&render.layout, &render.buffers.gradients);
+        let features = render.features();
+        let stride = LEADING_PLANES + features.len();
+        let [r, g, b] = &gradients.color;
+        let [x, y, z] = &gradients.normal;
+        let maps = [r, g, b, x, y, z, &gradients.distance];
+        let out = &mut self.planes[..BLOCKS * stride];
+        put(layout, slot, out, (stride, 1), &gradients.opacity);
+        for (plane, map) in maps[features.clone()].iter().enumerate() {
+            put(layout, slot, out, (stride, LEADING_PLANES + plane), map);
+        }
+        rests(out, drawn, features.len());
+        if !gradients.load.is_empty() {
+            put(layout, slot, &mut self.load, (1, 0), &gradients.load);
+        }
+    }
 }
 
 /// The first plane of every block of a tile: Σ ĝ C over the features and the opacity.

@@ -6,7 +6,8 @@ use fearless_simd::Level;
 use rayon::prelude::*;
 
 use super::{
-    bins::{Bins, Entry, place, set_slopes, touched_tiles},
+    bins::{Bins, Boxes, Entry, place},
+    bounds::{self, Sight},
     cloud::{CpuCloud, plane},
     lanes::{LANES, Line, at_level},
     layout::Layout,
@@ -22,7 +23,7 @@ use crate::equations::{
 };
 
 /// Groups that a task takes at a time.
-pub(crate) const GROUPS: usize = 64;
+pub(crate) const GROUPS: usize = 4 * LANES;
 
 /// What to project, and how.
 #[derive(Clone, Copy)]
@@ -35,6 +36,8 @@ pub(crate) struct Projection<'a> {
     pub(crate) sh_degree: u8,
     /// Whether normals and distances are drawn.
     pub(crate) planes: bool,
+    /// Whether colours are drawn.
+    pub(crate) color: bool,
     /// log2 of the alpha cut.
     pub(crate) cut: f32,
 }
@@ -122,7 +125,7 @@ pub(crate) fn coefficients<S: Carried>(degree: u8, lanes: Lanes<'_>) -> [Vec3<Wi
     out
 }
 
-/// Projects the whole cloud: writes `records` (by Gaussian; only of those that touch a drawn tile), and the lists of tiles.
+/// Projects what the drawn tiles may see of the cloud: writes `records` (by Gaussian; only of those that touch a drawn tile), and the lists of tiles.
 pub(crate) fn project(
     level: Level,
     cloud: &CpuCloud,
@@ -136,15 +139,17 @@ pub(crate) fn project(
     let tasks = records
         .par_chunks_mut(GROUPS * LANES)
         .zip(cloud.values.par_chunks(GROUPS * cloud.planes))
+        .zip(cloud.boxes.par_chunks(GROUPS / LANES * bounds::PLANES))
         .zip(found.par_iter_mut());
-    tasks.enumerate().for_each(|(task, ((records, values), found))| {
+    tasks.enumerate().for_each(|(task, (((records, values), boxes), found))| {
         found.entries.clear();
         found.tiles.clear();
         let mut task =
             Task { projection, first: task * GROUPS * LANES, count: cloud.count, planes: cloud.planes, found };
-        at_level!(level, simd => task.run(simd, records, values));
+        at_level!(level, simd => task.run(simd, records, values, boxes));
     });
-    bins.gather(found.iter().map(|found| (&found.entries[..], &found.tiles[..])));
+    let found: Vec<_> = found.iter().map(|found| (&found.entries[..], &found.tiles[..])).collect();
+    bins.gather(&found);
 }
 
 struct Task<'a> {
@@ -159,82 +164,83 @@ struct Task<'a> {
 
 impl Task<'_> {
     #[inline(always)]
-    fn run<S: Carried>(&mut self, simd: S, records: &mut [Line], values: &[Line]) {
+    fn run<S: Carried>(&mut self, simd: S, records: &mut [Line], values: &[Line], boxes: &[Line]) {
         simd.carry();
-        let lens = Lens::<Wide<S>>::new(self.projection.camera);
+        let Projection { camera, layout, cut, .. } = *self.projection;
+        let lens = Lens::<Wide<S>>::new(camera);
+        let sight = Sight::new(layout, &lens, camera.near, cut);
+        let near = Wide::<S>::from_f64(camera.near);
+        let mut seen = 0;
         for (group, (records, values)) in
             records.chunks_exact_mut(LANES).zip(values.chunks_exact(self.planes)).enumerate()
         {
-            let mut fields = [Line::ZERO; 16];
-            let mut depths = Line::ZERO;
-            for at in (0..LANES).step_by(Wide::<S>::LEN) {
-                ellipse_fields(&lens, values, at, &mut fields, &mut depths);
+            if group % LANES == 0 {
+                seen = sight.seen(&boxes[group / LANES * bounds::PLANES..][..bounds::PLANES]);
             }
-            let touching = self.bin(self.first + group * LANES, &mut fields, &depths, records);
-            if touching {
+            if seen >> (group % LANES) & 1 == 0 {
+                continue;
+            }
+            let (mut fields, mut depths, mut tiles) = ([Line::ZERO; 16], Line::ZERO, Boxes::NONE);
+            for at in (0..LANES).step_by(Wide::<S>::LEN) {
+                let depth = ellipse_fields(&lens, values, at, &mut fields);
+                depth.store(&mut depths, at);
+                tiles.set::<S>(layout, &fields, at, cut, near.less(depth));
+            }
+            let touching = self.bin(self.first + group * LANES, &fields, &depths, &tiles);
+            if touching != 0 {
                 for at in (0..LANES).step_by(Wide::<S>::LEN) {
                     feature_fields(&lens, values, at, self.projection, &mut fields);
                 }
-                for (lane, record) in records.iter_mut().enumerate() {
-                    for k in 0..7 {
-                        record.0[place::FEATURES + k] = fields[place::FEATURES + k].0[lane];
+                for (lane, record) in records.iter_mut().enumerate().filter(|(lane, _)| touching >> lane & 1 != 0) {
+                    for (to, from) in record.0.iter_mut().zip(&fields) {
+                        *to = from.0[lane];
                     }
                 }
             }
         }
     }
 
-    /// Finds the tiles of each Gaussian of a group and writes the ellipses of those that touch any; whether any does.
+    /// Finds the tiles of each Gaussian of a group; one bit for each that touches any.
     #[inline(always)]
-    fn bin(&mut self, first: usize, fields: &mut [Line; 16], depths: &Line, records: &mut [Line]) -> bool {
-        let mut touching = false;
+    fn bin(&mut self, first: usize, fields: &[Line; 16], depths: &Line, boxes: &Boxes) -> u16 {
+        let Projection { layout, cut, .. } = *self.projection;
+        let mut touching = 0;
         for lane in 0..LANES.min(self.count - first) {
-            let depth = depths.0[lane];
-            if depth.is_nan() || f64::from(depth) <= self.projection.camera.near {
-                continue;
-            }
-            let mut record = Line::ZERO;
-            for k in 0..place::FEATURES {
-                record.0[k] = fields[k].0[lane];
-            }
             let start = self.found.tiles.len();
-            touched_tiles(self.projection.layout, &record, self.projection.cut, &mut self.found.tiles);
+            boxes.touched(layout, fields, lane, cut, &mut self.found.tiles);
             let count = self.found.tiles.len() - start;
             if count > 0 {
-                set_slopes(&mut record);
-                records[lane] = record;
-                let gaussian = (first + lane) as u32;
                 self.found.entries.push(Entry {
-                    gaussian,
-                    depth: depth.to_bits(),
+                    gaussian: (first + lane) as u32,
+                    depth: depths.0[lane].to_bits(),
                     first: start as u32,
                     count: count as u32,
                 });
-                touching = true;
+                touching |= 1 << lane;
             }
         }
         touching
     }
 }
 
-/// Centre, exponent and depth of the lanes from `at` on.
+/// Centre and exponent of the lanes from `at` on; returns their depth.
 #[inline(always)]
-fn ellipse_fields<S: Carried>(
-    lens: &Lens<Wide<S>>,
-    values: &[Line],
-    at: usize,
-    fields: &mut [Line; 16],
-    depths: &mut Line,
-) {
+fn ellipse_fields<S: Carried>(lens: &Lens<Wide<S>>, values: &[Line], at: usize, fields: &mut [Line; 16]) -> Wide<S> {
     let ellipses = Ellipses::new(lens, Lanes { values, at });
     let [u, v] = projection::screen(lens, ellipses.point);
     let [a, b, c] = ellipses.conic;
     let log2_e = Wide::from_f64(std::f64::consts::LOG2_E);
     let half = Wide::from_f64(-0.5 * std::f64::consts::LOG2_E);
-    ellipses.point[2].store(depths, at);
-    for (k, value) in [u, v, a * half, -b * log2_e, c * half, ellipses.opacity.log2()].into_iter().enumerate() {
+    let [x, y, z] = ellipses.scales;
+    x.min(y).min(z).store(&mut fields[place::THICKNESS], at);
+    let (xx, xy, yy) = (a * half, -b * log2_e, c * half);
+    for (k, value) in [u, v, xx, xy, yy, ellipses.opacity.log2()].into_iter().enumerate() {
         value.store(&mut fields[k], at);
     }
+    let half_xy = Wide::from_f64(-0.5) * xy;
+    (half_xy / yy).store(&mut fields[place::SLOPE_Y], at);
+    (half_xy / xx).store(&mut fields[place::SLOPE_X], at);
+    ellipses.point[2]
 }
 
 /// Colours, and where asked normals and distances, of the lanes from `at` on.
@@ -248,10 +254,12 @@ fn feature_fields<S: Carried>(
 ) {
     let lanes = Lanes { values, at };
     let mean: Vec3<Wide<S>> = lanes.three(plane::MEAN);
-    let (direction, _) = harmonics::direction(mean, lens.eye);
-    let rgb = harmonics::color(&coefficients(projection.sh_degree, lanes), direction, projection.sh_degree);
-    for k in 0..3 {
-        rgb[k].store(&mut fields[place::FEATURES + k], at);
+    if projection.color {
+        let (direction, _) = harmonics::direction(mean, lens.eye);
+        let rgb = harmonics::color(&coefficients(projection.sh_degree, lanes), direction, projection.sh_degree);
+        for k in 0..3 {
+            rgb[k].store(&mut fields[place::FEATURES + k], at);
+        }
     }
     if projection.planes {
         let (unit, _) = activation::unit_quaternion(lanes.quaternion());

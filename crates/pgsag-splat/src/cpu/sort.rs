@@ -22,22 +22,22 @@ pub(crate) struct Sorter {
 }
 
 impl Sorter {
-    /// Writes into `order` the positions of `keys`, smallest key first, equal keys in order of position.
-    pub(crate) fn order(&mut self, keys: &[u32], order: &mut Vec<u32>) {
-        let low = keys.iter().copied().min().unwrap_or(0);
-        let high = keys.iter().copied().max().unwrap_or(0);
-        let bits = 32 - (high - low).leading_zeros();
+    /// Writes into `order` the positions of `items`, smallest key first, equal keys in order of position.
+    pub(crate) fn order<T: Sync>(&mut self, items: &[T], key: impl Fn(&T) -> u32 + Sync, order: &mut Vec<u32>) {
+        let bounds = items.par_iter().with_min_len(MIN_CHUNK).map(|item| (key(item), key(item)));
+        let (low, high) = bounds.reduce(|| (u32::MAX, 0), |a, b| (a.0.min(b.0), a.1.max(b.1)));
+        let bits = 32 - high.saturating_sub(low).leading_zeros();
         let passes = bits.div_ceil(DIGIT_BITS).max(1);
         let width = bits.div_ceil(passes).max(1);
-        self.from.clear();
-        self.from
-            .extend(keys.iter().enumerate().map(|(i, &key)| AtomicU64::new(u64::from(key - low) << 32 | i as u64)));
-        self.into.resize_with(keys.len(), AtomicU64::default);
+        self.from.resize_with(items.len(), AtomicU64::default);
+        self.into.resize_with(items.len(), AtomicU64::default);
+        let pairs = self.from.par_iter_mut().zip(items).with_min_len(MIN_CHUNK).enumerate();
+        pairs.for_each(|(i, (pair, item))| *pair.get_mut() = u64::from(key(item) - low) << 32 | i as u64);
         for pass in 0..passes {
             self.pass(32 + pass * width, width);
         }
-        order.clear();
-        order.extend(self.from.iter_mut().map(|pair| *pair.get_mut() as u32));
+        let sorted = self.from.par_iter().with_min_len(MIN_CHUNK);
+        sorted.map(|pair| pair.load(Relaxed) as u32).collect_into_vec(order);
     }
 
     fn pass(&mut self, shift: u32, width: u32) {
@@ -90,7 +90,7 @@ mod tests {
             let mut expected: Vec<u32> = (0..count as u32).collect();
             expected.sort_by_key(|&i| keys[i as usize]);
             let mut order = Vec::new();
-            sorter.order(&keys, &mut order);
+            sorter.order(&keys, |&key| key, &mut order);
             assert_eq!(order, expected);
         }
     }

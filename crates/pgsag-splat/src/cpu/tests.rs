@@ -113,6 +113,7 @@ const ALL: RenderOptions = RenderOptions {
     gradient: true,
     statistics: true,
     observe: true,
+    without_color: false,
     free_pixels: false,
 };
 
@@ -153,6 +154,19 @@ fn maps_are_those_of_the_naive_loop() {
 }
 
 #[test]
+fn planes_without_colors_are_those_with_colors() {
+    let cloud = cloud(2000, 0.12, 2);
+    let whole = RenderOptions { planes: true, gradient: true, ..RenderOptions::default() };
+    for cpu in levels() {
+        let device = cpu.upload(&state(cloud.clone())).unwrap();
+        let draw = |options| cpu.read(&cpu.render(&device, &camera(), None, &options).unwrap()).unwrap();
+        let (expected, got) = (draw(whole), draw(RenderOptions { without_color: true, ..whole }));
+        assert!(got.color.values.is_empty() && !expected.color.values.is_empty());
+        assert_eq!(PlaneMaps { color: expected.color.clone(), ..got }, expected);
+    }
+}
+
+#[test]
 fn gradients_are_those_of_differences() {
     let limits = Limits { alpha_cut: 1e-9, transmittance_stop: 1e-9 };
     let cloud = cloud(25, 0.35, 3);
@@ -185,7 +199,7 @@ fn gradients_are_those_of_differences() {
     for cpu in levels_with(limits) {
         let mut device = cpu.upload(&state(cloud.clone())).unwrap();
         let mut render = cpu.render(&device, &camera(), None, &RenderOptions { load: false, ..ALL }).unwrap();
-        take_gradients(cpu.level, &mut render, &gradients);
+        render.take_gradients(&mut gradients.clone());
         cpu.back(&mut device, &render, 1, false);
         let got = parameters(&cpu.gradients(&device).unwrap());
         for kind in [0..3, 3..6, 6..10, 10..11, 11..38] {
@@ -223,10 +237,15 @@ const WEIGHTS: LossWeights = LossWeights {
     mean_over_mask: true,
 };
 
-const RATES: Rates = Rates { means: 1e-3, scales: 5e-3, rotations: 1e-3, opacity: 0.02, color: 2e-3, harmonics: 1e-4 };
+const RATES: Rates =
+    Rates { means: 1e-3, scales: 5e-3, rotations: 1e-3, opacity: 0.02, color: 2e-3, harmonics: 1e-4, sparse: false };
 
 fn train(cpu: &Cpu, cloud: SplatCloud, view: &TrainingView, steps: u32) -> OptimizerState {
-    let mut device = cpu.upload(&state(cloud)).unwrap();
+    learn(cpu, &state(cloud), view, steps, &RATES)
+}
+
+fn learn(cpu: &Cpu, state: &OptimizerState, view: &TrainingView, steps: u32, rates: &Rates) -> OptimizerState {
+    let mut device = cpu.upload(state).unwrap();
     let view = cpu.prepare(view).unwrap();
     for step in 1..=steps {
         let mut render = cpu.render(&device, &camera(), Some(&view), &RenderOptions { load: false, ..ALL }).unwrap();
@@ -241,7 +260,7 @@ fn train(cpu: &Cpu, cloud: SplatCloud, view: &TrainingView, steps: u32) -> Optim
         };
         cpu.losses(&device, &mut sample).unwrap();
         cpu.backward(&mut device, &sample).unwrap();
-        cpu.adam(&mut device, &RATES, step).unwrap();
+        cpu.adam(&mut device, rates, step).unwrap();
     }
     cpu.download(&device).unwrap()
 }
@@ -270,6 +289,29 @@ fn threads_change_no_bit() {
         pool.install(|| train(&cpu, cloud(300, 0.15, 6), &view_of(None), 20))
     };
     assert!(run(1) == run(2));
+}
+
+#[test]
+fn a_sparse_step_leaves_the_unseen_alone_and_steps_the_seen_as_any() {
+    let mut mask = Mask::filled(WIDTH, HEIGHT, pgsag_scene::PixelClass::Occluded);
+    mask.classes.chunks_mut(WIDTH as usize).for_each(|row| row[..12].fill(pgsag_scene::PixelClass::Inside));
+    let rows = |state: &OptimizerState| -> Vec<[Vec<f64>; 3]> {
+        let [cloud, first, second] = [&state.cloud, &state.first, &state.second].map(parameters);
+        cloud.into_iter().zip(first).zip(second).map(|((a, b), c)| [a, b, c]).collect()
+    };
+    for cpu in levels() {
+        let before = train(&cpu, cloud(300, 0.1, 8), &view_of(None), 1);
+        let after = |sparse| rows(&learn(&cpu, &before, &view_of(Some(mask.clone())), 1, &Rates { sparse, ..RATES }));
+        let (sparse, dense, before) = (after(true), after(false), rows(&before));
+        let (mut left, mut stepped, mut carried) = (0, 0, 0);
+        for i in 0..before.len() {
+            assert!(sparse[i] == before[i] || sparse[i] == dense[i], "Gaussian {i} with {cpu:?}");
+            left += u32::from(sparse[i] == before[i]);
+            stepped += u32::from(sparse[i] != before[i]);
+            carried += u32::from(sparse[i] == before[i] && dense[i] != before[i]);
+        }
+        assert!(left > 50 && stepped > 30 && carried > 50, "{left}, {stepped}, {carried} with {cpu:?}");
+    }
 }
 
 #[test]

@@ -83,6 +83,10 @@ pub trait Pixels<T>: Number {
     fn each(f: impl FnMut(usize) -> T) -> Self;
     /// The first `LEN` of a slice as numbers; 0 beyond its end.
     fn from_bytes(bytes: &[u8]) -> Self;
+    /// The first `LEN` of a slice in single precision; 0 beyond its end.
+    fn from_singles(values: &[f32]) -> Self;
+    /// `start`, `start + 1`, …
+    fn count_from(start: usize) -> Self;
     /// `self * factor + term`; rounded once where the vector unit can.
     fn times_plus(self, factor: Self, term: Self) -> Self;
     /// Whether it is true of any pixel.
@@ -231,6 +235,14 @@ impl Pixels<Self> for f64 {
     #[inline(always)]
     fn from_bytes(bytes: &[u8]) -> Self {
         bytes.first().map_or(0.0, |&byte| byte.into())
+    }
+    #[inline(always)]
+    fn from_singles(values: &[f32]) -> Self {
+        values.first().map_or(0.0, |&value| value.into())
+    }
+    #[inline(always)]
+    fn count_from(start: usize) -> Self {
+        start as Self
     }
     #[inline(always)]
     fn times_plus(self, factor: Self, term: Self) -> Self {

@@ -24,6 +24,8 @@ pub struct Lens<T> {
     pub translation: Vec3<T>,
     /// Focal lengths, pixels.
     pub focal: [T; 2],
+    /// Their inverses.
+    pub inverse_focal: [T; 2],
     /// Principal point, pixels.
     pub center: [T; 2],
     /// Least X/Z and Y/Z of the Jacobian.
@@ -49,6 +51,7 @@ impl<T: Number> Lens<T> {
             rotation: camera.rotation.map(|row| row.map(T::from_f64)),
             translation: camera.translation.map(T::from_f64),
             focal: [T::from_f64(pinhole.fx), T::from_f64(pinhole.fy)],
+            inverse_focal: [T::from_f64(1.0 / pinhole.fx), T::from_f64(1.0 / pinhole.fy)],
             center: [T::from_f64(pinhole.cx), T::from_f64(pinhole.cy)],
             tangent_low: low.map(T::from_f64),
             tangent_high: high.map(T::from_f64),
@@ -60,7 +63,8 @@ impl<T: Number> Lens<T> {
     #[inline(always)]
     pub fn ray(&self, column: T, row: T) -> Vec3<T> {
         let half = T::from_f64(0.5);
-        [(column + half - self.center[0]) / self.focal[0], (row + half - self.center[1]) / self.focal[1], T::one()]
+        let along = |at: T, k: usize| (at + half - self.center[k]) * self.inverse_focal[k];
+        [along(column, 0), along(row, 1), T::one()]
     }
 }
 

@@ -36,3 +36,18 @@ fn tree_sums_every_vector() {
         }
     }
 }
+
+#[test]
+fn reciprocals_are_accurate_at_every_level() {
+    for level in SimdLevel::available() {
+        let level = level.detected().expect("available levels are detected");
+        for step in 1..20_000 {
+            let x = step as f32 / 10_000.0;
+            let line = Line([x; LANES]);
+            let mut out = Line::ZERO;
+            at_level!(level, simd => out.store(simd, 0, reciprocal(simd, line.load(simd, 0))));
+            let error = (f64::from(out.0[0]) * f64::from(x) - 1.0).abs();
+            assert!(error < 2e-7, "1 / {x}: relative error {error}");
+        }
+    }
+}

@@ -68,6 +68,30 @@ impl<S: Carried> Wide<S> {
         line.store(S::carried(), at, self.0);
     }
 
+    /// The next integer below or at each lane.
+    #[inline(always)]
+    pub(crate) fn floor(self) -> Self {
+        Self(self.0.floor())
+    }
+
+    /// The next integer above or at each lane.
+    #[inline(always)]
+    pub(crate) fn ceil(self) -> Self {
+        Self(self.0.ceil())
+    }
+
+    /// The least lane.
+    #[inline(always)]
+    pub(crate) fn least(self) -> f32 {
+        self.0.reduce_min()
+    }
+
+    /// The greatest lane.
+    #[inline(always)]
+    pub(crate) fn greatest(self) -> f32 {
+        self.0.reduce_max()
+    }
+
     /// log2, for normal positive numbers; absolute error 1e-7 near 1.
     /// Significand in [√½, √2), then the series of the area hyperbolic tangent.
     #[inline(always)]
@@ -89,6 +113,9 @@ impl<S: Carried> Wide<S> {
         Self((series * ratio).mul_add(S::f32s::splat(simd, std::f32::consts::LOG2_E), exponent))
     }
 }
+
+/// 0, 1, ….
+static COUNT: [f32; LANES] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 
 impl<S: Carried> Pixels<f32> for Wide<S> {
     const LEN: usize = S::f32s::LEN;
@@ -117,16 +144,27 @@ impl<S: Carried> Pixels<f32> for Wide<S> {
     }
     #[inline(always)]
     fn from_bytes(bytes: &[u8]) -> Self {
-        let mut line = [0.0; LANES];
-        match bytes.first_chunk::<LANES>() {
-            Some(bytes) => {
-                for lane in 0..LANES {
-                    line[lane] = f32::from(bytes[lane]);
-                }
+        let mut short = [0; LANES];
+        let bytes = match bytes.first_chunk::<LANES>() {
+            Some(bytes) => bytes,
+            None => {
+                short[..bytes.len()].copy_from_slice(bytes);
+                &short
             }
-            None => line.iter_mut().zip(bytes).for_each(|(value, &byte)| *value = f32::from(byte)),
+        };
+        let mut line = [0.0; LANES];
+        for lane in 0..LANES {
+            line[lane] = f32::from(bytes[lane]);
         }
         Self(S::f32s::from_slice(S::carried(), &line[..S::f32s::LEN]))
+    }
+    #[inline(always)]
+    fn from_singles(values: &[f32]) -> Self {
+        Pixels::load(values)
+    }
+    #[inline(always)]
+    fn count_from(start: usize) -> Self {
+        Self(S::f32s::from_slice(S::carried(), &COUNT[..S::f32s::LEN]) + start as f32)
     }
     #[inline(always)]
     fn times_plus(self, factor: Self, term: Self) -> Self {
@@ -158,20 +196,6 @@ impl<S: Carried> Wide<S> {
         self.0.store_slice(&mut line[..S::f32s::LEN]);
         to.copy_from_slice(&line[..to.len()]);
     }
-}
-
-/// Σ e^x.
-#[inline(always)]
-pub(crate) fn exp_sum<S: Carried>(simd: S, values: &[f32]) -> f64 {
-    simd.carry();
-    values
-        .chunks(S::f32s::LEN)
-        .map(|chunk| {
-            // What is missing in the last chunk counts nothing.
-            let ones = Wide::<S>::each(|lane| if lane < chunk.len() { 1.0 } else { 0.0 });
-            (<Wide<S> as Pixels<f32>>::load(chunk).exp() * ones).total()
-        })
-        .sum()
 }
 
 /// Runs a kernel on the widest vectors of this machine.

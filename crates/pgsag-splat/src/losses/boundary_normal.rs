@@ -6,7 +6,7 @@
 
 use rayon::prelude::*;
 
-use super::total::ray;
+use super::total::{clear_rows, ray};
 use super::view::LossView;
 use crate::backend::{LossWeights, Reading};
 use crate::equations::algebra::{Vec3, cross, dot, each, normalized_grad, scale, sub};
@@ -90,7 +90,9 @@ impl<T: Scalar> Kernel<T> for Band<'_, T> {
 
     #[inline(always)]
     fn run<P: Pixels<T>>(mut self) -> f64 {
-        self.d_normal.iter_mut().for_each(|map| map.fill(T::zero()));
+        for map in &mut self.d_normal {
+            clear_rows(self.view, self.first, map);
+        }
         let stride = self.view.width.next_multiple_of(MARGIN) + 2 * MARGIN;
         self.sides.clear();
         self.sides.resize(3 * 6 * stride, T::zero());
@@ -220,8 +222,8 @@ fn weight<T: Scalar, P: Pixels<T>>(view: &LossView, weights: &LossWeights, index
         return active * boundary;
     }
     let gradient = &view.gradient;
-    let printed = P::each(|lane| T::from_f32(gradient.printed.get(index + lane).copied().unwrap_or(0.0)));
-    let smooth = one - (printed / P::from_f64(f64::from(gradient.full))).min(one);
+    let printed = P::from_singles(&gradient.printed[index..end]);
+    let smooth = one - (printed * P::from_f64(1.0 / f64::from(gradient.full))).min(one);
     active * boundary * smooth * smooth
 }
 
@@ -231,13 +233,13 @@ fn norm<P: Number>(difference: Vec3<P>, reading: Reading) -> (P, Vec3<P>) {
     match reading {
         Reading::Paper => (dot(difference, difference), each(|k| difference[k] + difference[k])),
         Reading::Code => {
-            let soft = P::from_f64(SOFTENING);
+            let (soft, hard) = (P::from_f64(SOFTENING), P::from_f64(1.0 / SOFTENING));
             let half = P::from_f64(0.5);
             let part: Vec3<P> = each(|k| {
                 let size = difference[k].abs();
-                P::select(size.less(soft), half * size * size / soft, size - half * soft)
+                P::select(size.less(soft), half * size * size * hard, size - half * soft)
             });
-            let slope = each(|k| (difference[k] / soft).clamp(-P::one(), P::one()));
+            let slope = each(|k| (difference[k] * hard).clamp(-P::one(), P::one()));
             (part[0] + part[1] + part[2], slope)
         }
     }

@@ -95,19 +95,34 @@ pub fn geometric<T: Scalar>(
     let share = 1.0 / valid_count.max(1) as f64;
     if d_loss != 0.0 {
         let factor = T::from_f64(d_loss * share);
-        slopes.par_iter_mut().with_min_len(ROWS_AT_ONCE).for_each(|row| row.iter_mut().for_each(|d| *d = *d * factor));
-        for link in rows.iter().flat_map(|row| &row.2) {
-            let tap = link.tap as usize;
-            let shares = bilinear_shares(link.fraction);
-            let d = factor * link.d_neighbor;
-            let (above, below) = d_neighbor[tap..].split_at_mut(neighbor.view.width);
-            above[0] += d * shares[0];
-            above[1] += d * shares[1];
-            below[0] += d * shares[2];
-            below[1] += d * shares[3];
-        }
+        slopes.par_iter_mut().with_min_len(ROWS_AT_ONCE).enumerate().for_each(|(y, row)| {
+            row[reference.view.reach(y)].iter_mut().for_each(|d| *d = *d * factor);
+        });
+        scatter(&rows, factor, d_neighbor, neighbor.view.width);
     }
     Geometric { value: rows.iter().map(|row| row.0).sum::<f64>() * share, valid_count }
+}
+
+/// Adds what the links give to the neighbour's depths. Each thread takes a band of rows and looks at all links, so that
+/// every pixel's sum has one order, whatever the number of threads.
+fn scatter<T: Scalar>(rows: &[(f64, usize, Vec<Link<T>>)], factor: T, d_neighbor: &mut [T], width: usize) {
+    let band = (d_neighbor.len() / width.max(1)).div_ceil(rayon::current_num_threads()).max(1) * width.max(1);
+    d_neighbor.par_chunks_mut(band).enumerate().for_each(|(index, out)| {
+        let start = index * band;
+        for link in rows.iter().flat_map(|row| &row.2) {
+            // Wraps where the pixel lies before the band, and is past its end then.
+            let above = (link.tap as usize).wrapping_sub(start);
+            let below = above.wrapping_add(width);
+            let shares = bilinear_shares(link.fraction);
+            let d = factor * link.d_neighbor;
+            for (at, shares) in [(above, [shares[0], shares[1]]), (below, [shares[2], shares[3]])] {
+                if at < out.len() {
+                    out[at] += d * shares[0];
+                    out[at + 1] += d * shares[1];
+                }
+            }
+        }
+    });
 }
 
 /// Where a screen position falls between pixel centres: the upper left pixel and the fractions towards the right and
@@ -203,13 +218,15 @@ impl<T: Scalar> Kernel<T> for Trip<'_, T> {
         let span = view.spans[self.y].clone();
         let (mut sum, mut count) = (P::zero(), P::zero());
         let mut links = Vec::with_capacity(if self.d_depth.is_empty() { 0 } else { span.len() });
-        self.weights.fill(T::zero());
-        self.d_depth.fill(T::zero());
+        self.weights[view.reach(self.y)].fill(T::zero());
+        if !self.d_depth.is_empty() {
+            self.d_depth[view.reach(self.y)].fill(T::zero());
+        }
         for x in span.clone().step_by(P::LEN) {
             let row = self.y * view.width;
             let active = P::from_bytes(bytemuck::cast_slice(&view.active[row + x..row + span.end]));
             let depth = active * P::load(&self.reference.depth[row + x..row + span.end]);
-            let pixel = [P::each(|lane| T::from_f64((x + lane) as f64)), P::from_f64(self.y as f64)];
+            let pixel = [P::count_from(x), P::from_f64(self.y as f64)];
             let ray = pair.lenses[0].ray(pixel[0], pixel[1]);
             let there = add(mat_vec(&pair.between.rotation, scale(ray, depth)), pair.between.translation);
             let Some(read) = read(&self.neighbor, &pair, there, depth) else { continue };

@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use super::total::clear_rows;
 use super::view::LossView;
 use crate::backend::Exposure;
 use crate::equations::number::{Kernel, Pixels};
@@ -165,7 +166,7 @@ impl<T: Scalar> Kernel<T> for Band<'_, T> {
 
     #[inline(always)]
     fn run<P: Pixels<T>>(mut self) -> Sums {
-        self.out.fill(T::zero());
+        clear_rows(self.plane.view, self.first, self.out);
         let rows = self.out.len() / self.plane.view.width;
         let columns = self.plane.columns(self.first, rows);
         let mut sums = Sums::default();
@@ -359,9 +360,10 @@ fn similarity<P: Number>(means: [P; 4]) -> (P, [P; 3]) {
     let b2 = squares - both + c2;
     let inverse = P::one() / (b1 * b2);
     let s = a1 * a2 * inverse;
-    let d_square = -s / b2;
+    // 1/b₂ = b₁/(b₁ b₂), and so on: one division in all.
+    let d_square = -s * b1 * inverse;
     let d_product = (a1 + a1) * inverse;
-    let d_mean = (y + y) * a2 * inverse - (x + x) * s / b1;
+    let d_mean = (y + y) * a2 * inverse - (x + x) * s * b2 * inverse;
     (s, [d_mean - (x + x) * d_square - y * d_product, d_square, d_product])
 }
 

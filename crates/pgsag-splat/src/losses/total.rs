@@ -45,7 +45,8 @@ pub struct RenderedMaps<'a, T> {
     pub load: &'a [T],
 }
 
-/// Gradients of the total with respect to rendered maps, `[H * W]` each; empty where no term asks for them.
+/// Gradients of the total with respect to rendered maps, `[H * W]` each; empty where no term asks for them. Where buffers
+/// are used again, pixels that are neither active nor free keep what an earlier evaluation left there.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MapGradients<T> {
     /// Of the colour before exposure: R, G, B.
@@ -131,6 +132,20 @@ fn size<T: Scalar>(map: &mut Vec<T>, view: &LossView, wanted: bool) {
     if wanted { map.resize(view.width * view.height, T::zero()) } else { map.clear() }
 }
 
+/// Makes a map 0 wherever somebody may look at it.
+fn clear<T: Scalar>(view: &LossView, map: &mut [T]) {
+    let rows = map.par_chunks_mut(view.width.max(1)).with_min_len(ROWS_AT_ONCE).enumerate();
+    rows.for_each(|(y, row)| row[view.reach(y)].fill(T::zero()));
+}
+
+/// The same for the rows of a map from `first` on.
+#[inline(always)]
+pub(super) fn clear_rows<T: Scalar>(view: &LossView, first: usize, map: &mut [T]) {
+    for (y, row) in map.chunks_exact_mut(view.width.max(1)).enumerate() {
+        row[view.reach(first + y)].fill(T::zero());
+    }
+}
+
 fn add_photometric<T: Scalar>(inputs: &Inputs<'_, T>, out: &mut Evaluation<T>) -> f64 {
     let weights = PhotometricWeights {
         l1: f64::from(inputs.weights.l1),
@@ -172,11 +187,11 @@ fn add_surface<T: Scalar>(inputs: &Inputs<'_, T>, out: &mut Evaluation<T>) -> f6
         sum += f64::from(weights.geometric) * add_geometric(inputs, (other, &maps), out);
     }
     if weights.geometric == 0.0 || pair.is_none() {
-        out.d_depth[0].fill(T::zero());
+        clear(view, &mut out.d_depth[0]);
     }
     let d_normal = out.reference.normal.each_mut().map(|map| &mut map[..]);
     if weights.normal == 0.0 {
-        d_normal.into_iter().for_each(|map| map.fill(T::zero()));
+        d_normal.into_iter().for_each(|map| clear(view, map));
     } else {
         let maps = NormalMaps { normal: inputs.maps.normal, opacity: inputs.maps.opacity, depth: &out.depth[0] };
         let weight = f64::from(weights.normal);
@@ -201,7 +216,7 @@ fn add_geometric<T: Scalar>(
     let [d_depth, d_other] = &mut out.d_depth;
     depth_map(other, maps, other_depth);
     size(d_other, other, true);
-    d_other.fill(T::zero());
+    clear(other, d_other);
     size(&mut out.gates, inputs.view, true);
     let weight = f64::from(inputs.weights.geometric);
     let gate_px = f64::from(inputs.weights.geometric_gate_px);
@@ -211,7 +226,7 @@ fn add_geometric<T: Scalar>(
     out.values.geometric = found.value as f32;
     out.values.geometric_valid = found.valid_count as f32 / inputs.view.active_count.max(1) as f32;
     if weight != 0.0 {
-        out.neighbor.normal.iter_mut().for_each(|map| map.fill(T::zero()));
+        out.neighbor.normal.iter_mut().for_each(|map| clear(other, map));
         chain_depth(other, maps, d_other, &mut out.neighbor);
     }
     found.value
@@ -299,7 +314,7 @@ fn planes<T: Scalar, P: Pixels<T>>(maps: &RenderedMaps<'_, T>, index: usize) -> 
 /// Rays from (x, y) on along the row.
 #[inline(always)]
 pub(super) fn ray<T: Scalar, P: Pixels<T>>(lens: &Lens<P>, x: usize, y: usize) -> Vec3<P> {
-    lens.ray(P::each(|lane| T::from_f64((x + lane) as f64)), P::from_f64(y as f64))
+    lens.ray(P::count_from(x), P::from_f64(y as f64))
 }
 
 /// Carries the gradient of depth to N, to which it is added, and D, where it is written.
@@ -331,7 +346,7 @@ impl<T: Scalar> Kernel<T> for ChainRow<'_, T> {
         let lens = Lens::<P>::new(&self.view.camera);
         let span = self.view.spans[self.y].clone();
         let (start, end) = (self.y * self.view.width, self.y * self.view.width + span.end);
-        self.d_distance.fill(T::zero());
+        self.d_distance[self.view.reach(self.y)].fill(T::zero());
         for x in span.clone().step_by(P::LEN) {
             let (distance, normal) = planes(self.maps, start + x);
             // 0 at inactive pixels, which have no depth.

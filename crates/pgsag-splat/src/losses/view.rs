@@ -84,6 +84,14 @@ impl LossView {
         self.active[index]
     }
 
+    /// Columns of a row in which somebody may look at a gradient: from the first to the last active pixel, or all where
+    /// free pixels may be drawn too.
+    #[must_use]
+    #[inline]
+    pub fn reach(&self, row: usize) -> Range<usize> {
+        if self.free_count > 0 { 0..self.width } else { self.spans[row].clone() }
+    }
+
     /// Over how many pixels the photometric and normal terms average, at least 1.
     #[must_use]
     pub fn mean_count(&self, mean_over_mask: bool) -> usize {

@@ -362,7 +362,15 @@ fn adam_moves_by_its_rate_at_first() {
     let setting = Setting::new(LossWeights { l1: 1.0, ..no_weights() });
     setting.run(&mut cloud, true);
     let before = cloud.rows.clone();
-    let rates = Rates { means: 1e-3, scales: 5e-3, rotations: 1e-3, opacity: 0.05, color: 2.5e-3, harmonics: 1e-4 };
+    let rates = Rates {
+        means: 1e-3,
+        scales: 5e-3,
+        rotations: 1e-3,
+        opacity: 0.05,
+        color: 2.5e-3,
+        harmonics: 1e-4,
+        sparse: false,
+    };
     BACKEND.adam(&mut cloud, &rates, 1).unwrap();
     for i in 0..8 {
         let moved = cloud.rows[i].0[0] - before[i].0[0];

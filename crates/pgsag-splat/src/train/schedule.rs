@@ -29,6 +29,8 @@ pub struct RateOptions {
     pub harmonics: f32,
     /// Exposure gain and bias per step. PGSR: 1e-3.
     pub exposure: f32,
+    /// Step only the Gaussians that the view shows; else Adam's momentum carries the others on.
+    pub sparse: bool,
 }
 
 impl Default for RateOptions {
@@ -42,6 +44,7 @@ impl Default for RateOptions {
             color: 2.5e-3,
             harmonics: 1.25e-4,
             exposure: 1e-3,
+            sparse: false,
         }
     }
 }
@@ -189,6 +192,7 @@ impl TrainOptions {
             opacity: self.rates.opacity,
             color: self.rates.color,
             harmonics: self.rates.harmonics,
+            sparse: self.rates.sparse,
         }
     }
 

@@ -314,11 +314,12 @@ impl<'a, B: Backend> Trainer<'a, B> {
             gradient: true,
             statistics: self.options.gathers_at(self.iteration),
             observe: false,
+            without_color: false,
             free_pixels: weights.free_opacity > 0.0,
         };
         let mut render = self.backend.render(&self.cloud, &self.cameras[view], Some(&reference.view), &options)?;
-        // Only planes of the neighbour are compared: its colours cost as little as can be.
-        let beside = RenderOptions { planes: true, gradient: true, ..RenderOptions::default() };
+        // Only planes of the neighbour are compared.
+        let beside = RenderOptions { planes: true, without_color: true, gradient: true, ..RenderOptions::default() };
         let mut neighbor_render = match &other {
             Some((index, prepared)) => {
                 Some(self.backend.render(&self.cloud, &self.cameras[*index], Some(&prepared.view), &beside)?)

@@ -3,6 +3,7 @@
 use pgsag_scene::numbers::SplitMix64;
 
 use super::*;
+use crate::lanes::{SimdLevel, at_level};
 
 /// A random elongated ellipse near a raster of 100 x 70.
 fn random_record(stream: &mut SplitMix64) -> Line {
@@ -18,13 +19,21 @@ fn random_record(stream: &mut SplitMix64) -> Line {
     record.0[XY] = (-scale * (a - b) * c * s) as f32;
     record.0[YY] = (-0.5 * scale * (a * s * s + b * c * c)) as f32;
     record.0[PEAK] = libm::log2(stream.range(0.004, 1.0)) as f32;
-    set_slopes(&mut record);
     record
 }
 
 fn exponent(record: &Line, x: u32, y: u32) -> f32 {
     let (dx, dy) = (x as f32 + 0.5 - record.0[X], y as f32 + 0.5 - record.0[Y]);
     record.0[XX] * dx * dx + record.0[XY] * dx * dy + record.0[YY] * dy * dy + record.0[PEAK]
+}
+
+#[inline(always)]
+fn find<S: Carried>(simd: S, layout: &Layout, fields: &[Line; 16], cut: f32, tiles: &mut Vec<u32>) {
+    simd.carry();
+    let mut boxes = Boxes::NONE;
+    let one = Wide::<S>::from_f64(1.0);
+    boxes.set::<S>(layout, fields, 0, cut, Wide::<S>::zero().less(one));
+    boxes.touched(layout, fields, 0, cut, tiles);
 }
 
 #[test]
@@ -36,7 +45,9 @@ fn no_pixel_is_lost_and_few_tiles_are_too_many() {
     for _ in 0..500 {
         let record = random_record(&mut stream);
         let mut tiles = Vec::new();
-        touched_tiles(&layout, &record, cut, &mut tiles);
+        let fields: [Line; 16] = std::array::from_fn(|k| Line([record.0[k]; 16]));
+        let level = SimdLevel::Auto.detected().expect("some level is there");
+        at_level!(level, simd => find(simd, &layout, &fields, cut, &mut tiles));
         for slot in 0..layout.tiles.len() as u32 {
             let (x0, y0) = layout.corner(layout.tiles[slot as usize]);
             let touched = (0..256).any(|i| {
@@ -63,7 +74,7 @@ fn lists_are_by_depth_then_index_and_places_lead_back() {
         tiles.extend(start..start + count);
     }
     let mut bins = Bins::default();
-    bins.gather(std::iter::once((&entries[..], &tiles[..])));
+    bins.gather(&[(&entries[..], &tiles[..])]);
     bins.fill(40);
     let mut pairs = 0;
     for slot in 0..40 {
