@@ -188,7 +188,7 @@ impl Boxes {
         for (k, (place, tiles)) in [(X, layout.columns), (Y, layout.rows)].into_iter().enumerate() {
             let first = ((load(place) - half[k] - (tile - number(0.5))) / tile).ceil().max(zero);
             let last = ((load(place) + half[k] - number(0.5)) / tile).floor().min(number(tiles as f32 - 1.0));
-            any = any & first.less(last + number(0.5));
+            any &= first.less(last + number(0.5));
             first.store(&mut self.span[k], at);
             last.store(&mut self.span[2 + k], at);
             half[k].store(&mut self.half[k], at);

@@ -293,8 +293,8 @@ fn threads_change_no_bit() {
 
 #[test]
 fn a_sparse_step_leaves_the_unseen_alone_and_steps_the_seen_as_any() {
-    let mut mask = Mask::filled(WIDTH, HEIGHT, pgsag_scene::PixelClass::Occluded);
-    mask.classes.chunks_mut(WIDTH as usize).for_each(|row| row[..12].fill(pgsag_scene::PixelClass::Inside));
+    let mut mask = Mask::filled(WIDTH, HEIGHT, PixelClass::Occluded);
+    mask.classes.chunks_mut(WIDTH as usize).for_each(|row| row[..12].fill(PixelClass::Inside));
     let rows = |state: &OptimizerState| -> Vec<[Vec<f64>; 3]> {
         let [cloud, first, second] = [&state.cloud, &state.first, &state.second].map(parameters);
         cloud.into_iter().zip(first).zip(second).map(|((a, b), c)| [a, b, c]).collect()
