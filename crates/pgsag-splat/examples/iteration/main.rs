@@ -152,7 +152,9 @@ fn cases(group: &str) -> Vec<Case> {
             .collect(),
         "size" => vec![plain, Case { planes: false, size: LARGE, ..plain }, Case { size: LARGE, ..plain }],
         "mask" => {
-            [SMALL, LARGE].into_iter().flat_map(|size| [1.0, 0.15].map(|share| Case { size, share, ..plain })).collect()
+            let shares = [(1.0, false), (0.15, false), (0.15, true)];
+            let cases = |size| shares.map(|(share, sparse)| Case { size, share, sparse, ..plain });
+            [SMALL, LARGE].into_iter().flat_map(cases).collect()
         }
         "views" => vec![
             Case { gaussians: 20_000, patches: 25_600, ..plain },
@@ -209,7 +211,8 @@ fn trained_lines(arguments: &Arguments, gflops: f64) -> Result<Vec<Value>, Failu
     let scene = Scene::trained(files::read_ply(ply)?, folder, &arguments.image, arguments.shrink)?;
     let pinhole = scene.cameras[0].pinhole;
     let case = Case { gaussians: scene.cloud.len(), size: (pinhole.width, pinhole.height), ..Case::PLAIN };
-    let cases = [Case { planes: false, ..case }, case, Case { patches: 25_600, ..case }];
+    let two_views = Case { patches: 25_600, ..case };
+    let cases = [Case { planes: false, ..case }, case, two_views, Case { sparse: true, ..two_views }];
     let mut benches =
         cases.iter().map(|case| Bench::new(arguments.simd, *case, &scene)).collect::<Result<Vec<_>, _>>()?;
     take_turns(&mut benches, arguments.rounds)?;

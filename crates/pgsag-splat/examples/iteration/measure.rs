@@ -27,12 +27,14 @@ pub(crate) struct Case {
     pub(crate) patches: u32,
     /// Threads.
     pub(crate) threads: usize,
+    /// Adam steps only what the view shows.
+    pub(crate) sparse: bool,
 }
 
 impl Case {
     /// The case that others are variations of.
     pub(crate) const PLAIN: Self =
-        Self { gaussians: 100_000, size: (708, 522), planes: true, share: 1.0, patches: 0, threads: 1 };
+        Self { gaussians: 100_000, size: (708, 522), planes: true, share: 1.0, patches: 0, threads: 1, sparse: false };
 
     fn weights(&self) -> LossWeights {
         let multi_view = self.patches > 0;
@@ -146,7 +148,10 @@ impl Bench {
         let cpu = Cpu::new(CpuOptions { simd, ..CpuOptions::default() })?;
         let cpu = cpu.with_probe(Box::new(move |name| probe.end_phase(name)));
         let pool = Arc::new(rayon::ThreadPoolBuilder::new().num_threads(case.threads).build()?);
-        let cloud = cpu.upload(&OptimizerState::fresh(scene.cloud.clone()))?;
+        let mut state = OptimizerState::fresh(scene.cloud.clone());
+        // As in training, where other views have set everything in motion: no group may be passed over.
+        state.first.opacity_logits.fill(1e-12);
+        let cloud = cpu.upload(&state)?;
         let view = |k: usize| {
             let pinhole = scene.cameras[k].pinhole;
             let mask = (case.share < 1.0).then(|| ellipse(pinhole.width, pinhole.height, case.share));
@@ -200,7 +205,7 @@ impl Bench {
         };
         cpu.losses(&self.cloud, &mut sample)?;
         cpu.backward(&mut self.cloud, &sample)?;
-        cpu.adam(&mut self.cloud, &RATES, self.step)?;
+        cpu.adam(&mut self.cloud, &Rates { sparse: self.case.sparse, ..RATES }, self.step)?;
         let wall = wall_ms() - start;
         let turn = std::mem::take(&mut self.meter.marks().turn);
         Ok(Turn { wall, ..turn })

@@ -63,6 +63,7 @@ pub(crate) fn case_line(group: &str, bench: &Bench, gflops: f64) -> Value {
         "mask": case.share,
         "patches": case.patches,
         "threads": case.threads,
+        "sparse": case.sparse,
         "per_pixel": round(bench.per_pixel, 1),
         "min_ms": round(least(bench.turns.iter().map(Turn::total)), 2),
         "median_ms": round(median(bench.turns.iter().map(Turn::total)), 2),
