@@ -10,6 +10,7 @@ use pgsag_scene::Map;
 use crate::distance::signed_distance;
 use crate::label::Label;
 use crate::plan::PlanFrame;
+use crate::territory::cropped;
 
 /// How a segmenter is asked for buildings, and when it is believed.
 #[derive(Clone, Debug, PartialEq)]
@@ -135,7 +136,7 @@ fn prompt(drawn: &Map<Drawn>, piece: u32, [x0, y0, x1, y1]: [u32; 4], options: &
     let (left, top) = (x0.saturating_sub(across), y0.saturating_sub(down));
     let (right, bottom) = ((x1 + 1 + across).min(drawn.width), (y1 + 1 + down).min(drawn.height));
     let window = [left, top, right - left, bottom - top];
-    let part = windowed(drawn, window);
+    let part = cropped(drawn, window);
     let points = |is_wanted: &dyn Fn(Drawn) -> bool, count: usize| {
         let wanted =
             Map { width: part.width, height: part.height, values: part.values.iter().map(|d| is_wanted(*d)).collect() };
@@ -149,13 +150,6 @@ fn prompt(drawn: &Map<Drawn>, piece: u32, [x0, y0, x1, y1]: [u32; 4], options: &
         positive: points(&|what| what == Drawn::Piece(piece), options.positives),
         negative: points(&is_other, options.negatives),
     }
-}
-
-/// The window of a map.
-fn windowed(drawn: &Map<Drawn>, [x0, y0, width, height]: [u32; 4]) -> Map<Drawn> {
-    let row = |y: u32| (y as usize * drawn.width as usize + x0 as usize, width as usize);
-    let rows = (y0..y0 + height).map(row).flat_map(|(start, length)| &drawn.values[start..start + length]);
-    Map { width, height, values: rows.copied().collect() }
 }
 
 /// Pixels of a mask far from its edge and from one another: the deepest first, then always the farthest from all before.
@@ -192,7 +186,7 @@ pub fn chosen(
     prompt: &Prompt,
     options: &PromptOptions,
 ) -> Option<(usize, f32)> {
-    let part = windowed(drawn, prompt.window_px);
+    let part = cropped(drawn, prompt.window_px);
     let agreement = |mask: &Map<bool>| {
         let (mut shared, mut joined) = (0u32, 0u32);
         for (is_in, what) in mask.values.iter().zip(&part.values).filter(|(_, what)| **what != Drawn::Unknown) {

@@ -50,6 +50,8 @@ pub struct Share {
     pub mask: Mask,
     /// Active pixels that another group owns.
     pub halo: Map<bool>,
+    /// Edges between buildings and at height steps, where normals count less.
+    pub inner_edges: Map<bool>,
 }
 
 /// How a pixel stands to a group.
@@ -108,7 +110,7 @@ pub fn building_share(
         }
     }
     let halo = Map { width, height, values: window.values.iter().map(|s| *s == Standing::Halo).collect() };
-    Share { window_px, mask, halo }
+    Share { window_px, mask, halo, inner_edges: Map::filled(width, height, false) }
 }
 
 /// Classes of a background block in a window of its view: as [`background_classes`], where the block reaches; everything
@@ -130,7 +132,7 @@ pub fn background_share(
         }
     }
     let halo = Map { width, height, values: window.values.iter().map(|s| *s == Standing::Halo).collect() };
-    Share { window_px, mask, halo }
+    Share { window_px, mask, halo, inner_edges: Map::filled(width, height, false) }
 }
 
 /// Where a group's points would be drawn if nothing hid them, at the size of `camera`.

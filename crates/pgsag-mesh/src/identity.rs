@@ -61,6 +61,68 @@ pub fn roof_pieces(
     Ok((0..mesh.faces.len()).map(|face| if is_building(face) { piece(face) } else { 0 }).collect())
 }
 
+/// Rings of faces that a given number spreads over faces which no view has numbered: rims and shaded spots.
+const SPREAD_RINGS: usize = 8;
+
+/// `[F]` The building of every face where views have numbered most of them (`given`, 0: not numbered): the given number,
+/// else that of faces close by, else a roof piece of its own under the next free numbers, the largest first. Pieces of
+/// less than the least area (surface) are no buildings.
+///
+/// # Errors
+/// A cell that is no length.
+pub fn given_pieces(
+    mesh: &Mesh,
+    up: DVec3,
+    rules: &RoofRules,
+    given: &[u32],
+    is_building: impl Fn(usize) -> bool,
+) -> Result<Vec<u32>, MeshError> {
+    let mut number: Vec<u32> =
+        (0..mesh.faces.len()).map(|face| if is_building(face) { given[face] } else { 0 }).collect();
+    for _ in 0..SPREAD_RINGS {
+        let mut at_vertex: HashMap<u32, u32> = HashMap::new();
+        for (face, corners) in mesh.faces.iter().enumerate().filter(|(face, _)| number[*face] != 0) {
+            for corner in corners {
+                let smallest = at_vertex.entry(*corner).or_insert(number[face]);
+                *smallest = (*smallest).min(number[face]);
+            }
+        }
+        let spread = |face: usize| match number[face] {
+            0 if is_building(face) => {
+                mesh.faces[face].iter().filter_map(|c| at_vertex.get(c)).min().copied().unwrap_or(0)
+            }
+            known => known,
+        };
+        let next: Vec<u32> = (0..number.len()).map(spread).collect();
+        if next == number {
+            break;
+        }
+        number = next;
+    }
+    let pieces = roof_pieces(mesh, up, rules, |face| is_building(face) && number[face] == 0)?;
+    let first = number.iter().max().copied().unwrap_or(0);
+    let area = |face: usize| {
+        let [a, b, c] = mesh.triangle(face).map(DVec3::from);
+        0.5 * (b - a).cross(c - a).length()
+    };
+    let mut areas: BTreeMap<(bool, u32), f64> = BTreeMap::new();
+    for face in (0..mesh.faces.len()).filter(|face| is_building(*face)) {
+        let is_piece = number[face] == 0;
+        *areas.entry((is_piece, if is_piece { pieces[face] } else { number[face] })).or_default() += area(face);
+    }
+    areas.retain(|_, area| *area >= rules.min_area);
+    let mut order: Vec<(u32, f64)> =
+        areas.iter().filter(|((is_piece, _), _)| *is_piece).map(|(k, a)| (k.1, *a)).collect();
+    order.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    let renamed: BTreeMap<u32, u32> = order.iter().zip(first + 1..).map(|((piece, _), new)| (*piece, new)).collect();
+    let last = |face: usize| match number[face] {
+        0 => renamed.get(&pieces[face]).copied().unwrap_or(0),
+        known if areas.contains_key(&(false, known)) => known,
+        _ => 0,
+    };
+    Ok((0..mesh.faces.len()).map(last).collect())
+}
+
 impl Relief {
     fn of(
         mesh: &Mesh,

@@ -12,6 +12,7 @@ pub mod marching;
 pub mod merge;
 pub mod render;
 pub mod score;
+pub mod seams;
 pub mod tsdf;
 
 pub use error::MeshError;

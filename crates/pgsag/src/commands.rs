@@ -155,6 +155,10 @@ fn checked(mut config: Config) -> Result<Config> {
         "language" => return Err(crate::stages::masks::without_model().into()),
         folder => config.masks = existing(Path::new(folder), "the folder of masks")?.to_string_lossy().into_owned(),
     }
+    if !matches!(config.instances.as_str(), "auto" | "none") {
+        config.instances =
+            existing(Path::new(&config.instances), "the folder of instances")?.to_string_lossy().into_owned();
+    }
     for (path, what) in [(&mut config.truth, "the truth"), (&mut config.aoi, "the area of interest")] {
         if !path.is_empty() {
             *path = existing(Path::new(path.as_str()), what)?.to_string_lossy().into_owned();

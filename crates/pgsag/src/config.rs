@@ -78,6 +78,8 @@ pub struct Config {
     pub seed: u64,
     /// `auto`, a folder, `geometry`, `language` or `none`.
     pub masks: String,
+    /// Rasters of building numbers per image: `auto` (`SCENE/instances` where it exists), a folder, or `none`.
+    pub instances: String,
     /// Longest side of the images in training, pixels; 0: original.
     pub image_width: u32,
     /// `auto` or `cpu`.
@@ -139,6 +141,7 @@ impl Default for Config {
             scene: String::new(),
             seed: 0,
             masks: "auto".into(),
+            instances: "auto".into(),
             image_width: 0,
             device: "auto".into(),
             simd: "auto".into(),

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use crate::camera::Pinhole;
 use crate::camera::distortion::LensCamera;
-use crate::camera::undistort::{pinhole_for, undistort, undistort_mask};
+use crate::camera::undistort::{pinhole_for, undistort, undistort_instances, undistort_mask};
 use crate::error::FileError;
 use crate::files::Note;
 use crate::files::photo::{self, PhotoHeader};
@@ -142,6 +142,23 @@ impl SceneFolder {
         let lens = &self.scene.views[view].lens;
         let same = (mask.width, mask.height) == (lens.width, lens.height);
         Ok(Some(if same { mask } else { mask.resized_nearest(lens.width, lens.height) }))
+    }
+
+    /// Decodes the mask of a view as instance numbers (0 = no building) and removes the distortion; `None` where there is
+    /// no mask.
+    ///
+    /// # Errors
+    /// As [`Self::read_mask`]; also where the raster is in colour.
+    pub fn read_undistorted_instances(&self, view: usize) -> Result<Option<Map<u16>>, FileError> {
+        let Some(path) = &self.mask_paths[view] else {
+            return Ok(None);
+        };
+        let (file, bytes) = read_file(path)?;
+        let View { lens, camera, .. } = &self.scene.views[view];
+        let found = raster::decode_instances(&file, &bytes)?;
+        let same = (found.width, found.height) == (lens.width, lens.height);
+        let found = if same { found } else { found.resized_nearest(lens.width, lens.height) };
+        Ok(Some(if lens.model.is_pinhole() { found } else { undistort_instances(&found, lens, camera) }))
     }
 
     /// Decodes the mask of a view and removes the distortion; `None` where there is no mask.

@@ -152,6 +152,14 @@ pub fn group_names(stage_folder: &Path) -> Result<Vec<String>> {
     read_json::<Index>(&stage_folder.join("groups.json")).map(|index| index.names)
 }
 
+/// Whether masks said what a building is.
+///
+/// # Errors
+/// Where the stage is damaged.
+pub fn is_masked(stage_folder: &Path) -> Result<bool> {
+    read_json::<Index>(&stage_folder.join("groups.json")).map(|index| index.masked)
+}
+
 impl Artifact for Groups {
     const FORMAT: &'static str = "pgsag-groups";
     const VERSION: u32 = 2;
@@ -192,8 +200,10 @@ pub fn finished_groups(run: &Run, groups: Vec<Group>, stage: &str) -> Result<Vec
     Ok(groups.into_iter().filter(|group| finished.contains(&group.id.to_string())).collect())
 }
 
-/// Marks halo pixels in a share's raster, above the class.
+/// Marks halo pixels in a share's raster, above the class …
 const HALO_BIT: u16 = 4;
+/// … and inner edges.
+const EDGE_BIT: u16 = 8;
 
 /// A group's share of a view: window, classes, halo; `None` where the group takes the whole view.
 ///
@@ -215,14 +225,17 @@ pub fn share_of(stage_folder: &Path, name: &str, view: &GroupView) -> Result<Opt
         _ => PixelClass::Inside,
     };
     let mask = Mask { width, height, classes: map.values.iter().map(class).collect() };
-    let halo = map.values.iter().map(|value| value & HALO_BIT != 0).collect();
-    Ok(Some(Share { window_px: view.window_px, mask, halo: Map { width, height, values: halo } }))
+    let marked = |bit: u16| Map { width, height, values: map.values.iter().map(|value| value & bit != 0).collect() };
+    Ok(Some(Share { window_px: view.window_px, mask, halo: marked(HALO_BIT), inner_edges: marked(EDGE_BIT) }))
 }
 
 /// Writes what [`share_of`] reads.
 fn write_share(folder: &Path, view_index: usize, share: &Share) -> Result<()> {
-    let value = |(class, halo): (&PixelClass, &bool)| *class as u16 | if *halo { HALO_BIT } else { 0 };
-    let values = share.mask.classes.iter().zip(&share.halo.values).map(value).collect();
+    let marks = share.halo.values.iter().zip(&share.inner_edges.values);
+    let value = |(class, (halo, edge)): (&PixelClass, (&bool, &bool))| {
+        *class as u16 | if *halo { HALO_BIT } else { 0 } | if *edge { EDGE_BIT } else { 0 }
+    };
+    let values = share.mask.classes.iter().zip(marks).map(value).collect();
     let map = Map { width: share.mask.width, height: share.mask.height, values };
     write(&folder.join(view_file(view_index, "mask.png")), &pgsag_scene::files::raster::encode_instances_png(&map))
 }
@@ -348,5 +361,41 @@ fn whole_view(scene: &Scene, view: usize, config: &Config) -> GroupView {
         gsd: 0.0,
         incidence_deg: 0.0,
         azimuth_deg: 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_share_is_read_as_it_was_written() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let (width, height) = (4, 2);
+        let classes = [PixelClass::Free, PixelClass::Occluded, PixelClass::Boundary, PixelClass::Inside].repeat(2);
+        let marks = |at: &[usize]| {
+            let mut map = Map::filled(width, height, false);
+            at.iter().for_each(|at| map.values[*at] = true);
+            map
+        };
+        let share = Share {
+            window_px: [5, 6, width, height],
+            mask: Mask { width, height, classes },
+            halo: marks(&[2, 3, 7]),
+            inner_edges: marks(&[3, 6]),
+        };
+        std::fs::create_dir(folder.path().join("g001")).expect("a folder");
+        write_share(&folder.path().join("g001"), 17, &share).expect("written");
+        let view = GroupView {
+            view_index: 17,
+            window_px: share.window_px,
+            active_count: 4,
+            seen_share: 1.0,
+            gsd: 0.1,
+            incidence_deg: 0.0,
+            azimuth_deg: 0.0,
+        };
+        assert_eq!(share_of(folder.path(), "g001", &view).expect("sound"), Some(share));
+        assert_eq!(share_of(folder.path(), "g002", &view).expect("absent"), None);
     }
 }

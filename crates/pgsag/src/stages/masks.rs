@@ -1,6 +1,7 @@
 //! `masks`: which pixels show buildings, one raster per image at the size of training. From a folder, from the shape of
 //! the coarse surface (`geometry`), from a model that is asked by words (Eq. 5), or nothing.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
@@ -14,7 +15,7 @@ use pgsag_group::segment::named;
 use pgsag_group::surface::Surface;
 use pgsag_scene::Map;
 use pgsag_scene::files::folder::{SceneFolder, open_scene};
-use pgsag_scene::files::raster::{decode_mask, encode_mask_png};
+use pgsag_scene::files::raster::{decode_instances, decode_mask, encode_instances_png, encode_mask_png};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -99,6 +100,8 @@ enum Origin {
     Scene,
     Folder(PathBuf),
     Geometry,
+    /// Where instances are.
+    Instances,
     /// A model.
     Language,
 }
@@ -109,21 +112,34 @@ fn origin(config: &Config) -> Origin {
         "geometry" => Origin::Geometry,
         "language" => Origin::Language,
         "auto" if MASK_FOLDERS.iter().any(|name| Path::new(&config.scene).join(name).is_dir()) => Origin::Scene,
+        "auto" if instance_folder(config).is_some() => Origin::Instances,
         "auto" => Origin::Geometry,
         folder => Origin::Folder(folder.into()),
     }
 }
 
+/// Where the building numbers of images are, if anywhere.
+fn instance_folder(config: &Config) -> Option<PathBuf> {
+    match config.instances.as_str() {
+        "none" => None,
+        "auto" => Some(Path::new(&config.scene).join(INSTANCE_FOLDER)).filter(|folder| folder.is_dir()),
+        folder => Some(folder.into()),
+    }
+}
+
+/// Where a scene keeps building numbers.
+const INSTANCE_FOLDER: &str = "instances";
 /// Where a scene keeps masks.
 const MASK_FOLDERS: [&str; 2] = ["masks", "mask"];
 
 pub(crate) fn sources(run: &Run) -> Result<Vec<(String, String)>> {
     let config = config(run)?;
-    let folders = match config.masks.as_str() {
+    let mut folders = match config.masks.as_str() {
         "none" | "geometry" | "language" => Vec::new(),
         "auto" => MASK_FOLDERS.iter().map(|name| PathBuf::from(&config.scene).join(name)).collect(),
         folder => vec![PathBuf::from(folder)],
     };
+    folders.extend(instance_folder(&config));
     folders
         .into_iter()
         .map(|folder| {
@@ -165,6 +181,10 @@ pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
     let imported: Imported = job.read("import")?;
     let origin = origin(&config);
     let views = batch_views(job, imported.scene.views.len());
+    let instances = write_instances(job, &imported, &config, &views)?;
+    if origin == Origin::Instances {
+        return job.write(&MaskList { views: by_instances(job, &views, &instances)? });
+    }
     if origin == Origin::Geometry {
         let states = by_geometry(job, &imported, &config, &views)?;
         return job.write(&MaskList { views: states });
@@ -192,7 +212,7 @@ pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
 fn with_masks(imported: &Imported, config: &Config, origin: Origin) -> Result<SceneFolder> {
     let scene = Path::new(&config.scene);
     match origin {
-        Origin::Nothing | Origin::Geometry | Origin::Language => Ok(imported.folder(scene)),
+        Origin::Nothing | Origin::Geometry | Origin::Instances | Origin::Language => Ok(imported.folder(scene)),
         Origin::Scene => {
             let opened = open_scene(scene)?;
             Ok(SceneFolder { scene: imported.scene.clone(), ..opened })
@@ -203,6 +223,58 @@ fn with_masks(imported: &Imported, config: &Config, origin: Origin) -> Result<Sc
             Ok(folder)
         }
     }
+}
+
+/// The building numbers of a view at the size of training; `None` where nobody gave any.
+///
+/// # Errors
+/// Where the raster is damaged.
+pub fn instances_of(stage_folder: &Path, view_index: usize) -> Result<Option<Map<u16>>> {
+    let path = batch_file(stage_folder, view_index, INSTANCES);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let (file, bytes) = read(&path)?;
+    Ok(Some(decode_instances(&file, &bytes)?))
+}
+
+/// The end of the name of a raster of building numbers.
+const INSTANCES: &str = "instances.png";
+
+/// Brings given building numbers to the size of training; the views that have some.
+fn write_instances(job: &Job<'_>, imported: &Imported, config: &Config, views: &[usize]) -> Result<BTreeSet<usize>> {
+    let Some(folder) = instance_folder(config) else { return Ok(BTreeSet::new()) };
+    let mut scene = imported.folder(Path::new(&config.scene));
+    scene.attach_masks(&folder)?;
+    let write_one = |&view: &usize| -> Result<Option<usize>> {
+        job.check()?;
+        let Some(found) = scene.read_undistorted_instances(view)? else { return Ok(None) };
+        let camera = training_camera(&imported.scene.views[view].camera, config.image_width);
+        let sized = found.resized_nearest(camera.width, camera.height);
+        write(&job.output().join(view_file(view, INSTANCES)), &encode_instances_png(&sized))?;
+        Ok(Some(view))
+    };
+    let found: BTreeSet<usize> =
+        views.par_iter().map(write_one).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
+    job.say(&format!("{} of {} images tell buildings apart", found.len(), views.len()));
+    Ok(found)
+}
+
+/// Masks where numbers are given and nothing else is.
+fn by_instances(job: &Job<'_>, views: &[usize], with: &BTreeSet<usize>) -> Result<Vec<(usize, MaskState)>> {
+    let mask = |&view: &usize| -> Result<(usize, MaskState)> {
+        if !with.contains(&view) {
+            return Ok((view, MaskState::Unknown));
+        }
+        let (file, bytes) = read(&job.output().join(view_file(view, INSTANCES)))?;
+        let found = decode_instances(&file, &bytes)?;
+        let values: Vec<bool> = found.values.iter().map(|number| *number > 0).collect();
+        let state = if values.contains(&true) { MaskState::Buildings } else { MaskState::Empty };
+        let mask = Map { width: found.width, height: found.height, values };
+        write(&job.output().join(view_file(view, "mask.png")), &encode_mask_png(&mask))?;
+        Ok((view, state))
+    };
+    views.iter().map(mask).collect()
 }
 
 /// Why there are no masks by language here.

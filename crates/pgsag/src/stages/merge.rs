@@ -6,14 +6,14 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use glam::DVec3;
 use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces};
-use pgsag_mesh::identity::{RoofRules, roof_pieces};
+use pgsag_mesh::identity::{RoofRules, given_pieces, roof_pieces};
 use pgsag_mesh::merge::split_by_building;
 use pgsag_mesh::render::visibility;
 use pgsag_scene::{Mesh, Scene};
 use serde::{Deserialize, Serialize};
 
 use super::aoi::Area;
-use super::group::Groups;
+use super::group::{Groups, is_masked};
 use super::import::Imported;
 use super::mesh::{Surface, lattice_of, read_surface, write_surface};
 use super::{config, read_json, write_json};
@@ -109,7 +109,9 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let folder = run.stage_folder("mesh");
     let size = |name: &String| std::fs::metadata(folder.join(name).join("surface.ply")).map_or(0, |found| found.len());
     let bytes: u64 = run.finished_jobs("mesh")?.iter().map(size).sum();
-    let cost = Cost { memory_bytes: (64 << 20) + 10 * bytes, disk_bytes: 3 * bytes, cpu_secs: bytes as f64 * 50e-9 };
+    // Telling buildings apart takes as much again.
+    let each = if is_masked(&run.stage_folder("group"))? { 10 } else { 5 };
+    let cost = Cost { memory_bytes: (64 << 20) + each * bytes, disk_bytes: 3 * bytes, cpu_secs: bytes as f64 * 50e-9 };
     Ok(JobPlan::whole(&["import", "group", "mesh"], cost))
 }
 
@@ -172,12 +174,19 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     job.write(&Merged { city, buildings, list })
 }
 
-/// Numbers the pieces of building surface from 1, the largest first; small ones become background.
+/// Numbers the pieces of building surface: as given in instance masks, else from 1, the largest first; small ones become
+/// background.
 fn number_buildings(city: &mut Mesh, up: DVec3, rules: &RoofRules) -> Result<()> {
     if city.groups.len() != city.faces.len() {
         bail!("faces without groups");
     }
-    let pieces = roof_pieces(city, up, rules, |face| city.groups[face] != 0)?;
+    let is_building = |face: usize| city.groups[face] != 0;
+    if city.buildings.iter().any(|number| *number != 0) {
+        city.buildings = given_pieces(city, up, rules, &city.buildings, is_building)?;
+        forget_background(city);
+        return Ok(());
+    }
+    let pieces = roof_pieces(city, up, rules, is_building)?;
     let mut areas: BTreeMap<u32, f64> = BTreeMap::new();
     for (face, piece) in pieces.iter().enumerate().filter(|(_, piece)| **piece != 0) {
         *areas.entry(*piece).or_default() += face_area(city, face);
@@ -186,12 +195,17 @@ fn number_buildings(city: &mut Mesh, up: DVec3, rules: &RoofRules) -> Result<()>
     order.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
     let number: BTreeMap<u32, u32> = order.iter().zip(1..).map(|((piece, _), number)| (*piece, number)).collect();
     city.buildings = pieces.iter().map(|piece| number.get(piece).copied().unwrap_or(0)).collect();
+    forget_background(city);
+    Ok(())
+}
+
+/// What is no building belongs to no group of buildings either.
+fn forget_background(city: &mut Mesh) {
     for (group, building) in city.groups.iter_mut().zip(&city.buildings) {
         if *building == 0 {
             *group = 0;
         }
     }
-    Ok(())
 }
 
 fn face_area(mesh: &Mesh, face: usize) -> f64 {
@@ -284,6 +298,16 @@ mod tests {
         number_buildings(&mut city, DVec3::Z, &rules(1.5)).expect("numbered");
         assert_eq!(city.buildings, [0, 0, 1, 1, 1, 1, 0, 0]);
         assert_eq!(city.groups, [0, 0, 1, 1, 1, 1, 0, 0]);
+    }
+
+    #[test]
+    fn given_numbers_stay_and_what_nobody_numbered_gets_the_next() {
+        let mut city = squares(&[(0.0, 1), (1.0, 1), (2.0, 1), (10.0, 2), (20.0, 0)]);
+        city.buildings = vec![7, 0, 7, 4, 4, 4, 0, 0, 9, 9];
+        let rules = RoofRules { cell: 0.5, step: f64::INFINITY, min_area: 0.4 };
+        number_buildings(&mut city, DVec3::Z, &rules).expect("numbered");
+        assert_eq!(city.buildings, [7, 7, 7, 4, 4, 4, 8, 8, 0, 0]);
+        assert_eq!(city.groups, [1, 1, 1, 1, 1, 1, 2, 2, 0, 0]);
     }
 
     #[test]

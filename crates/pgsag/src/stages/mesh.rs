@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::fuse::{FusedView, fused_views, read_fused};
 use super::group::{Extent, Groups};
 use super::import::Imported;
+use super::masks::instances_of;
 use super::{config, read};
 use crate::config::Config;
 use crate::photographs::{Photographs, training_camera};
@@ -139,7 +140,7 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
             cpu_secs: tile.views.len() as f64 * pixels as f64 * 2e-6,
         },
         name: tile.name,
-        inputs: vec![("import", None), ("group", Some("extent".into())), ("fuse", None)],
+        inputs: vec![("import", None), ("masks", None), ("group", Some("extent".into())), ("fuse", None)],
     };
     Ok(tiles.into_iter().map(plan).collect())
 }
@@ -205,13 +206,19 @@ impl Cube<'_, '_> {
         }
         let mut mesh = marching::extract(&volume);
         drop(volume);
-        let mut ballot = Ballot::new(&mesh);
+        let (mut ballot, mut identity) = (Ballot::new(&mesh), None::<Ballot>);
         for (done, view) in views.iter().enumerate() {
             tell(2 * views.len() + done)?;
             let (depth, weight, group) = read_fused(&self.job.input("fuse"), *view)?;
-            ballot.count(&self.depth_view(*view, depth, weight, None), &group, 3.0 * self.lattice.voxel);
+            let tolerance = 3.0 * self.lattice.voxel;
+            let seen = self.depth_view(*view, depth, weight, None);
+            ballot.count(&seen, &group, tolerance);
+            if let Some(numbers) = instances_of(&self.job.input("masks"), *view)? {
+                identity.get_or_insert_with(|| Ballot::new(&mesh)).count(&seen, &numbers, tolerance);
+            }
         }
         mesh.groups = ballot.winners();
+        mesh.buildings = identity.map_or_else(Vec::new, |ballot| ballot.winners());
         Ok(mesh)
     }
 

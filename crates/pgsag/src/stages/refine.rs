@@ -4,20 +4,22 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Result;
+use pgsag_group::edges::inner_edges;
 use pgsag_group::refine::{Drawing, RefineOptions, background_classes, building_classes, corrected, drawn_labels};
-use pgsag_group::surface::Surface;
+use pgsag_group::surface::{Seen, Surface};
 use pgsag_group::{GroupKind, Label, Segmenter};
-use pgsag_scene::files::raster::encode_mask_png;
+use pgsag_scene::files::raster::{decode_mask, encode_mask_png};
 use pgsag_scene::{Map, Mask};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::coarse::Coarse;
 use super::import::Imported;
-use super::masks::{mask_of, states};
+use super::masks::{instances_of, mask_of, states};
 use super::vote::Votes;
 use super::{
-    batch_file, batch_views, batches, config, encode_classes, read_classes, read_json, view_file, write, write_json,
+    batch_file, batch_views, batches, config, encode_classes, read, read_classes, read_json, view_file, write,
+    write_json,
 };
 use crate::photographs::Photographs;
 use crate::run::Run;
@@ -48,6 +50,9 @@ impl Artifact for Classes {
     }
 }
 
+/// The end of the name of a raster of inner edges.
+const EDGES: &str = "edges.png";
+
 /// The end of a class raster's name.
 fn kind_name(kind: GroupKind) -> &'static str {
     match kind {
@@ -63,6 +68,19 @@ fn kind_name(kind: GroupKind) -> &'static str {
 pub fn classes_of(stage_folder: &Path, view_index: usize, kind: GroupKind) -> Result<Option<Mask>> {
     let path = batch_file(stage_folder, view_index, kind_name(kind));
     if path.exists() { read_classes(&path).map(Some) } else { Ok(None) }
+}
+
+/// Where buildings part inside of a view's mask; `None` where nothing is known.
+///
+/// # Errors
+/// Where the raster is damaged.
+pub fn edges_of(stage_folder: &Path, view_index: usize) -> Result<Option<Map<bool>>> {
+    let path = batch_file(stage_folder, view_index, EDGES);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let (file, bytes) = read(&path)?;
+    Ok(Some(decode_mask(&file, &bytes)?))
 }
 
 /// The building mask of a view after refinement; `None` where its mask is unknown.
@@ -119,6 +137,9 @@ pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
         let asked = asker.as_ref().map(|asker| asker.mended(view, &given)).transpose()?;
         let mask = pencil.corrected(view, asked.as_ref().unwrap_or(&given), &config.refine)?;
         write_classes(job, view, &mask, &config.refine)?;
+        if let Some(edges) = pencil.inner_edges(view, &mask, instances_of(&masks, view)?.as_ref(), &config.refine) {
+            write(&job.output().join(view_file(view, EDGES)), &encode_mask_png(&edges))?;
+        }
         write_named(job, &imported.scene.views[view].name, &mask)?;
         job.advance(done.fetch_add(1, Ordering::Relaxed) + 1, views.len() as u64, "masks");
         let changed = given.values.iter().zip(&mask.values).filter(|(before, now)| before != now).count();
@@ -149,14 +170,33 @@ struct Pencil<'a> {
 }
 
 impl Pencil<'_> {
+    /// What a view sees of the coarse points.
+    fn seen(&self, view: usize) -> Seen {
+        let (camera, pose) = (self.photographs.camera(view), &self.imported.scene.views[view].camera_from_world);
+        self.surface.render(&self.surface.buffer_camera(&camera, pose), pose, |_| true)
+    }
+
+    /// Where buildings part inside of a mask; `None` where there is no edge.
+    fn inner_edges(
+        &self,
+        view: usize,
+        mask: &Map<bool>,
+        instances: Option<&Map<u16>>,
+        options: &RefineOptions,
+    ) -> Option<Map<bool>> {
+        if !mask.values.contains(&true) {
+            return None;
+        }
+        let edges = inner_edges(mask, &self.seen(view), self.surface.spacing, instances, options.band_px);
+        edges.values.contains(&true).then_some(edges)
+    }
+
     /// A given mask, set right where the points contradict it.
     fn corrected(&self, view: usize, given: &Map<bool>, options: &RefineOptions) -> Result<Map<bool>> {
         if self.surface.is_empty() {
             return Ok(given.clone());
         }
-        let camera = self.photographs.camera(view);
-        let pose = &self.imported.scene.views[view].camera_from_world;
-        let seen = self.surface.render(&self.surface.buffer_camera(&camera, pose), pose, |_| true);
+        let (camera, seen) = (self.photographs.camera(view), self.seen(view));
         let is_witnessed = |point: u32| self.coarse.is_measured_by(point as usize, view);
         let drawing =
             Drawing { seen: &seen, labels: &self.labels, is_witnessed: &is_witnessed, agreement: SURE_AGREEMENT };

@@ -136,9 +136,18 @@ pub(crate) fn sources(run: &Run) -> Result<Vec<(String, String)>> {
 
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let bytes = std::fs::metadata(run.stage_folder("merge").join("buildings.ply")).map_or(0, |found| found.len());
-    let is_asked = !config(run)?.truth.is_empty();
+    let truth = config(run)?.truth;
+    let is_asked = !truth.is_empty();
+    let length = |path: &Path| std::fs::metadata(path).map_or(0, |found| found.len());
+    let known = Path::new(&truth);
+    let truth_bytes = length(known) + length(&known.join("scene.ply")) + length(&known.join("visible.ply"));
+    let coarse = length(&run.stage_folder("coarse").join("points.bin"));
     let cost = if is_asked {
-        Cost { memory_bytes: (128 << 20) + 16 * bytes, disk_bytes: 1 << 16, cpu_secs: 5.0 + bytes as f64 * 1e-6 }
+        Cost {
+            memory_bytes: (128 << 20) + 17 * bytes + 10 * truth_bytes + 3 * coarse,
+            disk_bytes: 1 << 16,
+            cpu_secs: 5.0 + bytes as f64 * 1e-6,
+        }
     } else {
         Cost::default()
     };

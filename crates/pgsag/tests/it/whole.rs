@@ -1,5 +1,8 @@
 //! A whole run: it finishes, it is good enough, it does nothing twice, and the number of threads does not matter.
 
+use pgsag_scene::Map;
+use pgsag_scene::files::raster::{decode_instances, encode_instances_png};
+
 use super::*;
 
 #[test]
@@ -31,6 +34,28 @@ fn a_town_becomes_buildings_with_a_score() {
     assert!(report.contains("<polyline"), "curves");
     assert!(report.contains("panoptic quality 0.") && report.contains("2 clusters of building points"), "identity");
     assert!(!report.contains("http://") && !report.contains("https://"), "offline");
+}
+
+#[test]
+fn given_instances_name_the_buildings() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (run, instances) = (folder.path().join("run"), folder.path().join("instances"));
+    fs::create_dir(&instances).expect("a folder");
+    for entry in fs::read_dir(town().join("truth/instances")).expect("instances").map(|entry| entry.expect("an entry"))
+    {
+        let found = decode_instances("truth", &fs::read(entry.path()).expect("a raster")).expect("sound");
+        let values = found.values.iter().map(|number| [0, 70, 9][usize::from(*number)]).collect();
+        let renamed = encode_instances_png(&Map { values, ..found });
+        fs::write(instances.join(entry.file_name()), renamed).expect("written");
+    }
+    let mut command = reconstruct(town(), &run);
+    command.args(["--iterations", "60", "--set"]).arg(format!("instances={}", instances.display()));
+    finish(command);
+    let result = result_of(&run);
+    let names: Vec<&String> = result.keys().filter(|name| name.starts_with("buildings/")).collect();
+    assert_eq!(names, ["buildings/b009.ply", "buildings/b070.ply"]);
+    let score: Value = serde_json::from_slice(&result["score.json"]).expect("JSON");
+    assert_eq!(score["panoptic"]["matched"], 2, "{}", score["panoptic"]);
 }
 
 #[test]

@@ -5,7 +5,9 @@ use anyhow::Result;
 use glam::DVec3;
 use pgsag_group::group::origin_of;
 use pgsag_group::surface::{NO_POINT, Seen};
-use pgsag_group::territory::{Share, Standing, background_share, building_share, coverage, territory, window_of};
+use pgsag_group::territory::{
+    Share, Standing, background_share, building_share, coverage, cropped, territory, window_of,
+};
 use pgsag_group::{Group, GroupId, GroupKind, GroupView, Label};
 use pgsag_scene::numbers::median;
 use pgsag_scene::{Map, Pinhole, Scene};
@@ -17,7 +19,7 @@ use crate::config::Config;
 use crate::photographs::training_camera;
 use crate::run::stage::Job;
 use crate::stages::masks::MaskState;
-use crate::stages::refine::building_of;
+use crate::stages::refine::{building_of, edges_of};
 
 /// Pixels around a group's mask that come along: SSIM reaches 5, patches of the multi-view terms 3.
 const MARGIN_PX: u32 = 16;
@@ -175,7 +177,8 @@ impl Patrol<'_, '_> {
         };
         let mut found = Vec::new();
         if known.is_some() {
-            ward.buildings(&building, &mut found)?;
+            let edges = edges_of(&self.job.input("refine"), view)?;
+            ward.buildings(&building, edges.as_ref(), &mut found)?;
         }
         ward.grounds(&building, &mut found)?;
         Ok(found)
@@ -254,7 +257,7 @@ impl Ward<'_, '_, '_> {
         self.drafts.get(draft as usize).map(|draft| draft.kind)
     }
 
-    fn buildings(&self, building: &Map<bool>, found: &mut Vec<Sighting>) -> Result<()> {
+    fn buildings(&self, building: &Map<bool>, edges: Option<&Map<bool>>, found: &mut Vec<Sighting>) -> Result<()> {
         let is_building = |point: u32| self.kind(self.claims.owner[point as usize]) == Some(GroupKind::Building);
         let points = territory(&self.seen, building, is_building);
         for draft in self.claims.present(&points) {
@@ -264,6 +267,10 @@ impl Ward<'_, '_, '_> {
             let members = &self.drafts[draft as usize].points;
             let hidden = coverage(&self.division.surface, members, &self.seen, pose, &self.camera);
             let share = building_share(&standing, view.window_px, &hidden, &self.patrol.config.refine);
+            let share = match edges {
+                Some(edges) => Share { inner_edges: cropped(edges, view.window_px), ..share },
+                None => share,
+            };
             found.push((draft, self.kept(draft, view, &share)?));
         }
         Ok(())

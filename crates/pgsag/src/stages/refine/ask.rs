@@ -54,10 +54,7 @@ impl<'a> Asker<'a> {
 
     /// A mask with each building that is drawn in this view as the model sees it, where the votes agree with the model.
     pub(super) fn mended(&self, view: usize, given: &Map<bool>) -> Result<Map<bool>> {
-        let camera = self.pencil.photographs.camera(view);
-        let pose = &self.pencil.imported.scene.views[view].camera_from_world;
-        let surface = &self.pencil.surface;
-        let seen = surface.render(&surface.buffer_camera(&camera, pose), pose, |_| true);
+        let seen = self.pencil.seen(view);
         let what = |point: &u32| if *point == NO_POINT { Drawn::Unknown } else { self.pieces[*point as usize] };
         let (width, height) = (seen.point.width, seen.point.height);
         let small = Map { width, height, values: seen.point.values.iter().map(what).collect::<Vec<Drawn>>() };
