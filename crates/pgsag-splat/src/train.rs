@@ -13,6 +13,7 @@ pub mod footprint;
 pub mod initialise;
 pub mod metrics;
 pub mod neighbors;
+mod plateau;
 pub mod schedule;
 pub mod trainer;
 mod view_cache;

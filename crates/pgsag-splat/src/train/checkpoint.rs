@@ -6,11 +6,12 @@
 use crate::backend::{DensityStatistics, OptimizerState};
 use crate::cloud::SplatCloud;
 use crate::train::exposure::Exposures;
+use crate::train::plateau::Plateau;
 use crate::train::schedule::TrainOptions;
 use crate::train::{Result, TrainError};
 
 const MAGIC: &[u8; 8] = b"PGSAGCKP";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const HEADER: usize = 8 + 4 + 8 + 32;
 
 /// Everything needed to go on as if nothing had happened.
@@ -25,6 +26,7 @@ pub struct Checkpoint {
     pub(crate) gsd: f32,
     pub(crate) exposure_frozen: bool,
     pub(crate) exposures: Exposures,
+    pub(crate) plateau: Plateau,
     pub(crate) state: OptimizerState,
 }
 
@@ -63,6 +65,9 @@ impl Checkpoint {
         payload.array(&self.exposures.first);
         payload.array(&self.exposures.second);
         payload.array(&self.exposures.steps);
+        payload.array(&self.plateau.means);
+        payload.u64(self.plateau.sum.to_bits());
+        payload.u32(self.plateau.steps);
         for cloud in [&self.state.cloud, &self.state.first, &self.state.second] {
             payload.cloud(cloud);
         }
@@ -208,6 +213,7 @@ impl Reader<'_> {
         let exposure_frozen = self.u32()? != 0;
         let exposures =
             Exposures { values: self.array()?, first: self.array()?, second: self.array()?, steps: self.array()? };
+        let plateau = Plateau { means: self.array()?, sum: f64::from_bits(self.u64()?), steps: self.u32()? };
         let (cloud, first, second) = (self.cloud()?, self.cloud()?, self.cloud()?);
         let statistics = DensityStatistics {
             gradient: self.array()?,
@@ -217,7 +223,19 @@ impl Reader<'_> {
             observed_count: self.array()?,
         };
         let state = OptimizerState { cloud, first, second, statistics };
-        Some(Checkpoint { options, seed, iteration, round, stack, scene_scale, gsd, exposure_frozen, exposures, state })
+        Some(Checkpoint {
+            options,
+            seed,
+            iteration,
+            round,
+            stack,
+            scene_scale,
+            gsd,
+            exposure_frozen,
+            exposures,
+            plateau,
+            state,
+        })
     }
 }
 

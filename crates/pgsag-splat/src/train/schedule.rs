@@ -55,6 +55,11 @@ impl Default for RateOptions {
 pub struct TrainOptions {
     /// Steps, one reference view each; from 500.
     pub iterations: u32,
+    /// Training ends before its last step where the photometric loss falls by less than this share from block to block,
+    /// twice in a row, after density control and with all terms at full weight; 0: never.
+    pub plateau_share: f32,
+    /// Least length of a block, steps; rounded up to whole rounds of the views.
+    pub plateau_steps: u32,
     /// Weights of the loss terms once all are on.
     pub weights: LossWeights,
     /// Share of the iterations before normal, multi-view geometric and NCC terms start. PGSR: 7000/30000.
@@ -85,6 +90,8 @@ impl Default for TrainOptions {
     fn default() -> Self {
         Self {
             iterations: 15_000,
+            plateau_share: 0.0,
+            plateau_steps: 200,
             weights: LossWeights::default(),
             geometric_start: 7.0 / 30.0,
             geometric_ramp: 1.0 / 30.0,
@@ -154,6 +161,7 @@ impl TrainOptions {
             ("geometric_ramp", self.geometric_ramp),
             ("geometric_gate_anneal", self.geometric_gate_anneal),
             ("sh_interval", self.sh_interval),
+            ("plateau_share", self.plateau_share),
             ("density.from", self.density.from),
             ("density.until", self.density.until),
             ("density.opacity_cull", self.density.opacity_cull),
@@ -179,6 +187,13 @@ impl TrainOptions {
     /// How far the run is, 0 at the first iteration and 1 at the last.
     fn progress(&self, iteration: u32) -> f64 {
         f64::from(iteration.saturating_sub(1)) / f64::from(self.iterations.saturating_sub(1).max(1))
+    }
+
+    /// The last iteration at which the losses of two steps may differ for another reason than learning: density control
+    /// or weights that rise.
+    pub(crate) fn settled_at(&self) -> u32 {
+        let rising = self.geometric_start + self.geometric_ramp.max(self.geometric_gate_anneal);
+        self.at(rising.max(self.density.until).max(self.density.trim_until))
     }
 
     /// Adam step sizes of one iteration; `gsd` is the group's ground sampling distance, scene units per pixel.
@@ -243,6 +258,18 @@ impl TrainOptions {
         iteration.is_multiple_of(self.density.interval)
             && iteration > self.at(self.density.from)
             && iteration <= self.at(self.density.until)
+    }
+
+    /// The most Gaussians that density control can make of `count`: each of its turns adds at most a share.
+    #[must_use]
+    pub fn gaussian_bound(&self, count: usize) -> usize {
+        let turns = (1..=self.at(self.density.until) / self.density.interval.max(1))
+            .filter(|turn| self.densifies_at(turn * self.density.interval));
+        let grown = |most: usize, _| {
+            let births = f64::from(self.density.max_growth) * most as f64;
+            most.saturating_add(births.ceil() as usize).min(self.density.max_gaussians.max(count))
+        };
+        turns.fold(count, grown)
     }
 
     /// Whether Gaussians that too few views see are removed after this iteration.

@@ -14,6 +14,7 @@ use crate::train::density::{DensityInput, plan_density, plan_trim};
 use crate::train::exposure::Exposures;
 use crate::train::footprint::{footprints, locate, medians};
 use crate::train::neighbors::Neighbor;
+use crate::train::plateau::Plateau;
 use crate::train::schedule::TrainOptions;
 use crate::train::view_cache::{Prepared, ViewCache};
 use crate::train::{Result, TrainError, stream};
@@ -71,6 +72,7 @@ pub struct Trainer<'a, B: Backend> {
     round: u32,
     exposures: Exposures,
     exposure_frozen: bool,
+    plateau: Plateau,
     scene_scale: f32,
     gsd: f32,
     cameras: Vec<ViewCamera>,
@@ -104,6 +106,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             gsd,
             exposure_frozen: false,
             exposures: Exposures::neutral(views.len()),
+            plateau: Plateau::default(),
             state: OptimizerState::fresh(cloud),
         };
         Self::resume(backend, views, neighbors, options, &checkpoint)
@@ -148,6 +151,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             round: checkpoint.round,
             exposures: checkpoint.exposures.clone(),
             exposure_frozen: checkpoint.exposure_frozen,
+            plateau: checkpoint.plateau.clone(),
             scene_scale: checkpoint.scene_scale,
             gsd: checkpoint.gsd,
             seed: checkpoint.seed,
@@ -180,10 +184,10 @@ impl<'a, B: Backend> Trainer<'a, B> {
         self.iteration
     }
 
-    /// Whether all steps are done.
+    /// Whether all steps are done, or no more are worth it.
     #[must_use]
     pub fn is_done(&self) -> bool {
-        self.iteration >= self.options.iterations
+        self.iteration >= self.options.iterations || self.plateau.is_reached(&self.options)
     }
 
     /// The cloud on the device, for renders between steps.
@@ -225,6 +229,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             gsd: self.gsd,
             exposure_frozen: self.exposure_frozen,
             exposures: self.exposures.clone(),
+            plateau: self.plateau.clone(),
             state: self.backend.download(&self.cloud)?,
         })
     }
@@ -234,7 +239,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
     /// # Errors
     /// As [`Self::step`].
     pub fn run(&mut self, until: u32, on_progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<()> {
-        while self.iteration < until.min(self.options.iterations) {
+        while self.iteration < until && !self.is_done() {
             let progress = self.step()?;
             if on_progress(&progress).is_break() {
                 break;
@@ -255,6 +260,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let weights = self.options.weights_at(iteration);
         let values = self.learn(view, &weights).map_err(|error| diverged(error, iteration, view))?;
         self.control_density()?;
+        let photometric = f64::from(values.l1) + f64::from(values.dssim);
+        self.plateau.note(photometric, iteration, self.views.len(), &self.options);
         Ok(Progress {
             iteration,
             iterations: self.options.iterations,

@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 /// Units that the name's last word says.
-const SUFFIXES: [(&str, &str); 12] = [
+const SUFFIXES: [(&str, &str); 13] = [
     ("_px", "px"),
     ("_px2", "px²"),
     ("_m", "m"),
@@ -13,6 +13,7 @@ const SUFFIXES: [(&str, &str); 12] = [
     ("_secs", "s"),
     ("_bytes", "bytes"),
     ("_gsd", "local GSD"),
+    ("_steps", "steps"),
     ("_voxels", "voxels"),
     ("_units", "scene units"),
     ("_degree", "degree"),

@@ -51,7 +51,8 @@ impl Forecast {
         let gaussians = (8 * points + 20_000).min(config.train.density.max_gaussians as u64);
         let group_points =
             if config.masks == "none" { points } else { budget(scene, config).map_or(points, |most| most as u64) };
-        let largest_group = gaussians.min(MAX_GROWTH as u64 * group_points + MAX_GROWTH_FLOOR as u64);
+        let grown = config.train.gaussian_bound(group_points as usize) as u64;
+        let largest_group = gaussians.min(MAX_GROWTH as u64 * group_points + MAX_GROWTH_FLOOR as u64).min(grown);
         let gaussian_bytes = bytes_per_gaussian(config.initialise.sh_degree);
         let iterations = u64::from(config.train.iterations);
         Self { views, pixels, matched, points, gaussians, largest_group, gaussian_bytes, iterations }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
+use pgsag_group::territory::Share;
 use pgsag_group::{Group, GroupView};
 use pgsag_scene::error::FileError;
 use pgsag_scene::{Mask, View};
@@ -41,7 +42,7 @@ pub(crate) const MAX_GROWTH: usize = 8;
 pub(crate) const MAX_GROWTH_FLOOR: usize = 20_000;
 /// Bytes per pixel of a view in training: maps and their gradients, for the view and its neighbour.
 pub(crate) const BYTES_PER_PIXEL: u64 = 400;
-/// Bytes that a job needs whatever it trains.
+/// Bytes that a job needs whatever it trains, where the scene's points are not yet known.
 pub(crate) const FIXED_BYTES: u64 = 128 << 20;
 
 /// A trained group.
@@ -135,7 +136,11 @@ impl<'a> GroupViews<'a> {
     /// # Errors
     /// Where the raster is damaged.
     pub fn mask_of(&self, view: &GroupView) -> Result<Option<Mask>> {
-        Ok(share_of(&self.shares, &self.group.id.to_string(), view)?.map(|share| share.mask))
+        Ok(self.share_of(view)?.map(|share| share.mask))
+    }
+
+    fn share_of(&self, view: &GroupView) -> Result<Option<Share>> {
+        share_of(&self.shares, &self.group.id.to_string(), view)
     }
 
     /// The window of one of the group's views, ready for training or comparison.
@@ -144,11 +149,12 @@ impl<'a> GroupViews<'a> {
     /// Where photograph or mask cannot be read.
     pub fn training_view(&self, view: &GroupView) -> Result<TrainingView> {
         let image = self.photographs.window(view.view_index as usize, view.window_px)?;
+        let (mask, inner_edges) = self.share_of(view)?.map(|share| (share.mask, share.inner_edges)).unzip();
         Ok(TrainingView {
             camera: self.camera_of(view.view_index as usize, view.window_px),
             image: Arc::unwrap_or_clone(image),
-            mask: self.mask_of(view)?,
-            inner_edges: None,
+            mask,
+            inner_edges,
         })
     }
 }
@@ -177,6 +183,8 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let config = config(run)?;
     let folder = run.stage_folder("group");
     let names = group_names(&folder)?;
+    let points = run.stage_folder("coarse").join("points.bin");
+    let coarse = std::fs::metadata(points).map_or(0, |found| found.len());
     let plan = |name: String| -> Result<JobPlan> {
         let group = group_of(&folder, &name)?;
         let pixels = |count: fn(&GroupView) -> u64| group.views.iter().map(count).max().unwrap_or(0);
@@ -185,10 +193,9 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
             group.views.iter().map(|view| view.active_count).sum::<u64>() as f64 / group.views.len().max(1) as f64;
         let gaussians = gaussian_bound(&group, &config) as u64;
         let each = bytes_per_gaussian(config.initialise.sh_degree);
-        // Two fifths more for the caches of images.
-        let held = FIXED_BYTES + gaussians * each + window * BYTES_PER_PIXEL;
+        let all = group.views.iter().map(|view| u64::from(view.window_px[2]) * u64::from(view.window_px[3])).sum();
         let cost = Cost {
-            memory_bytes: held + held * 2 / 3,
+            memory_bytes: needs(gaussians, each, coarse, window, all),
             disk_bytes: gaussians * 180,
             cpu_secs: f64::from(config.train.iterations) * (active * 1.2e-6 + gaussians as f64 * 0.4e-6),
         };
@@ -198,9 +205,22 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     names.into_iter().map(plan).collect()
 }
 
+/// Bytes of a process before it has read anything.
+const BASE_BYTES: u64 = 16 << 20;
+/// Bytes per pixel of all windows of a group: photographs and what is derived from them, both cached.
+const CACHE_BYTES_PER_PIXEL: u64 = 20;
+
+/// Memory of a job with so many Gaussians of `each` bytes, a file of `coarse` bytes, and windows of at most `window` and
+/// together `all` pixels. Caches take at most two fifths of the job's share, and never more than the images are.
+fn needs(gaussians: u64, each: u64, coarse: u64, window: u64, all: u64) -> u64 {
+    let held = BASE_BYTES + coarse * 5 / 2 + gaussians * (each + each / 10) + window * BYTES_PER_PIXEL;
+    held + (all * CACHE_BYTES_PER_PIXEL).min(held * 2 / 3)
+}
+
 /// The most Gaussians that training may come to: known before it starts, so that memory is.
 fn gaussian_bound(group: &Group, config: &Config) -> usize {
-    (MAX_GROWTH * group.points.len() + MAX_GROWTH_FLOOR).min(config.train.density.max_gaussians)
+    let most = (MAX_GROWTH * group.points.len() + MAX_GROWTH_FLOOR).min(config.train.density.max_gaussians);
+    config.train.gaussian_bound(group.points.len()).min(most)
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
@@ -313,4 +333,32 @@ fn evaluate<B: Backend>(
         }
     }
     Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Groups of finished runs: points, bytes of the coarse points, largest window, all windows, steps, measured peak (MiB).
+    const MEASURED: [(usize, u64, u64, u64, u32, u64); 8] = [
+        (117_183, 43 << 20, 480_000, 16_640_146, 500, 751),
+        (55_512, 43 << 20, 468_000, 7_936_139, 500, 457),
+        (92_720, 43 << 20, 480_000, 15_813_548, 500, 819),
+        (1_053, 43 << 20, 6_006, 187_050, 500, 126),
+        (427_649, 40 << 20, 426_400, 11_086_400, 1000, 1664),
+        (120_200, 12 << 20, 475_200, 4_276_800, 1000, 679),
+        (14_456, 2 << 20, 76_800, 1_843_200, 800, 105),
+        (3_014, 2 << 20, 26_180, 329_407, 800, 37),
+    ];
+
+    #[test]
+    fn estimates_hold_and_are_no_more_than_two_fifths_too_large() {
+        for (points, coarse, window, all, iterations, measured) in MEASURED {
+            let options = TrainOptions { iterations, ..TrainOptions::fast() };
+            let gaussians = options.gaussian_bound(points) as u64;
+            let estimate = needs(gaussians, bytes_per_gaussian(2), coarse, window, all) >> 20;
+            let ratio = estimate as f64 / measured as f64;
+            assert!((1.0..1.4).contains(&ratio), "{points} points: {estimate} MiB estimated, {measured} measured");
+        }
+    }
 }

@@ -51,7 +51,9 @@ fn a_resumed_run_is_the_run_itself() {
         })
         .expect("fake");
     assert!(straight.is_done() && seen.len() == 500);
-    assert!(seen.last().expect("steps").2 > 16, "the cloud grew");
+    let most = seen.iter().map(|step| step.2).max().expect("steps");
+    assert!(most > 16, "the cloud grew");
+    assert!(most <= options().gaussian_bound(16), "{most} Gaussians, no more than is known before");
     for stop in [1, 99, 100, 203, 499] {
         let mut first = trainer(&backend, &views);
         first.run(stop, &mut |_| ControlFlow::Continue(())).expect("fake");
@@ -113,4 +115,29 @@ fn exposures_may_be_frozen() {
     }
     assert_eq!(frozen.finish().expect("fake").1, given);
     assert_ne!(free.exposures(), vec![Exposure::NEUTRAL; 5]);
+}
+
+#[test]
+fn a_loss_that_rests_ends_the_run_at_the_same_step_however_often_it_is_resumed() {
+    let (backend, views) = (Fake::default(), FakeViews::ring(5, 16));
+    let options = TrainOptions { plateau_share: 0.5, plateau_steps: 8, ..options() };
+    let go = &mut |_: &Progress| ControlFlow::Continue(());
+    let begin = || {
+        let neighbors = ring_neighbors(views.len());
+        Trainer::new(&backend, &views, neighbors, cloud_on_plane(4, 1.0), options.clone(), 9).expect("fake")
+    };
+    let mut straight = begin();
+    straight.run(u32::MAX, go).expect("fake");
+    // Three blocks of two rounds of five views after everything has settled.
+    assert_eq!(straight.iteration(), options.settled_at() + 30);
+    for stop in [options.settled_at() - 3, options.settled_at() + 17] {
+        let mut first = begin();
+        first.run(stop, go).expect("fake");
+        let checkpoint = Checkpoint::from_bytes(&first.checkpoint().expect("fake").to_bytes()).expect("own bytes");
+        let neighbors = ring_neighbors(views.len());
+        let mut resumed = Trainer::resume(&backend, &views, neighbors, options.clone(), &checkpoint).expect("fake");
+        resumed.run(u32::MAX, go).expect("fake");
+        assert!(resumed.is_done());
+        assert_eq!(resumed.iteration(), straight.iteration());
+    }
 }
