@@ -4,6 +4,7 @@
 //! or a chore of a release. A step prints the command that it runs, so that a person can run it alone.
 #![expect(clippy::print_stdout, reason = "a developer's tool speaks on standard output")]
 
+mod ablate;
 mod bench;
 mod chores;
 mod ci;
@@ -29,6 +30,7 @@ cargo x tidy       the house rules: arrows between rooms, file lengths, headers,
 cargo x ledger     docs/paper.md: every equation names a living function and a living test
 cargo x licences   every dependency's licence against the list in deny.toml
 cargo x bench      measure the CPU backend, append to benchmarks/results.json (options: benchmarks/README.md)
+cargo x ablate     what each part is worth: rows of settings on scenes with truth, to docs/ablations.md
 cargo x corrupt-masks MASKS OUT   masks made worse on purpose, always alike, to see what refinement mends
 cargo x harden SCENE OUT …  a judged scene made harder: off-centre crop, gains, pose noise, offset, fewer views
 cargo x town       reconstruct the demo town, print where its report lies
@@ -43,6 +45,7 @@ fn main() -> ExitCode {
         "tidy" => tidy::run(&root),
         "ledger" => ledger::run(&root),
         "licences" => licences::run(&root),
+        "ablate" => ablate::run(&root, &std::env::args().skip(2).collect::<Vec<_>>()),
         "bench" => bench::run(&root, &std::env::args().skip(2).collect::<Vec<_>>()),
         "harden" => chores::harden(&root, std::env::args().skip(2)),
         "corrupt-masks" => chores::corrupt_masks(&root, std::env::args().skip(2)),
