@@ -6,6 +6,7 @@
 
 pub mod components;
 pub mod error;
+pub mod evidence;
 pub mod fuse;
 pub mod identity;
 pub mod marching;

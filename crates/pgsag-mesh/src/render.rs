@@ -17,6 +17,8 @@ pub enum Paint {
     Shape,
     /// Vertex colours as they are; plaster where there are none.
     Color,
+    /// By the normal as the camera sees it: right is red, up is green, towards the camera is blue.
+    Normal,
     /// One colour per building in oblique light, plaster where there is none.
     Building,
 }
@@ -167,7 +169,19 @@ pub fn render(
     paint: Paint,
     background: [u8; 3],
 ) -> Image {
-    let seen = visibility(mesh, camera, camera_from_world);
+    painted(mesh, &visibility(mesh, camera, camera_from_world), camera, camera_from_world, paint, background)
+}
+
+/// A picture of what is known to be seen from there.
+#[must_use]
+pub fn painted(
+    mesh: &Mesh,
+    seen: &Visibility,
+    camera: &Pinhole,
+    camera_from_world: &RigidTransform,
+    paint: Paint,
+    background: [u8; 3],
+) -> Image {
     let mut image = Image::filled(camera.width, camera.height, background);
     let width = camera.width as usize;
     image.pixels.par_iter_mut().zip(&seen.face.values).enumerate().for_each(|(at, (pixel, face))| {
@@ -197,6 +211,9 @@ fn color_of(mesh: &Mesh, face: usize, ray: DVec3, camera_from_world: &RigidTrans
         });
     }
     let facing = if back { -normal } else { normal };
+    if paint == Paint::Normal {
+        return [facing.x, -facing.y, -facing.z].map(|v| (127.5 + 127.5 * v + 0.5) as u8);
+    }
     // Light from over the left shoulder, and a little from everywhere.
     let light = 0.35 + 0.65 * facing.dot(DVec3::new(-0.45, -0.6, -0.66)).max(0.0);
     let base = match (paint, mesh.buildings.get(face)) {

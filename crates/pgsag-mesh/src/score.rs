@@ -22,12 +22,13 @@ mod surface;
 pub use align::{Similarity, icp};
 pub use options::{Align, BuildingScore, Distances, Protocol, Score, ScoreOptions, Spread, ThresholdScore, Truth};
 pub use panoptic::{Panoptic, off_buildings, panoptic};
-pub use picture::{accuracy_map, completeness_colors, distance_color};
+pub use picture::{Nearest, distance_color};
 
 use judge::Known;
 use published::{Rules, smallest, truth_cloud};
-use sample::Sampler;
-pub(crate) use surface::{Cloud, Target};
+
+pub(crate) use sample::Sampler;
+pub(crate) use surface::{Cloud, Surface, Target, Walk};
 
 /// Scores `mesh` (scene units) against `truth`. `Score::inputs` is left empty for the caller.
 ///

@@ -45,7 +45,9 @@ pub enum Command {
     #[command(after_help = "Example:\n  pgsag job train g012 --run my-city.run")]
     Job(JobArgs),
     /// Precision, recall, F1, accuracy and completeness of any mesh.
-    #[command(after_help = "Example:\n  pgsag score result/buildings.ply --truth truth")]
+    #[command(
+        after_help = "Example:\n  pgsag score result/buildings.ply --truth truth\n  pgsag score odd.run/result/buildings.ply --against even.run/result/buildings.ply"
+    )]
     Score(ScoreArgs),
     /// Writes a synthetic town as an ordinary scene with exact truth.
     #[command(after_help = "Example:\n  pgsag town -o town --seed 7 --houses 12")]
@@ -146,8 +148,11 @@ pub struct ScoreArgs {
     #[arg(value_name = "MESH")]
     pub mesh: PathBuf,
     /// A mesh, a cloud, or a folder with scene.ply and visible.ply.
-    #[arg(long, value_name = "TRUTH")]
-    pub truth: PathBuf,
+    #[arg(long, value_name = "TRUTH", required_unless_present = "against")]
+    pub truth: Option<PathBuf>,
+    /// In place of a truth: a second mesh of the same place, made of other images (reconstruct --images odd, and even).
+    #[arg(long, value_name = "MESH", conflicts_with = "truth")]
+    pub against: Option<PathBuf>,
     /// Distances that count as right, metres; several with commas.
     #[arg(long, value_name = "D,D,…", value_delimiter = ',')]
     pub threshold: Vec<f64>,

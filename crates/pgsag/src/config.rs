@@ -21,6 +21,7 @@ use crate::stages::coarse::CoarseOptions;
 use crate::stages::group::GroupingOptions;
 use crate::stages::merge::BuildingOptions;
 use crate::stages::mesh::SurfaceOptions;
+use crate::stages::score::evidence::EvidenceOptions;
 
 pub mod keys;
 pub mod sizes;
@@ -127,6 +128,8 @@ pub struct Config {
     pub buildings: BuildingOptions,
     /// How to score.
     pub score: ScoreOptions,
+    /// What is asked where there is no truth.
+    pub evidence: EvidenceOptions,
 }
 
 impl Default for Config {
@@ -165,6 +168,7 @@ impl Default for Config {
             surface: SurfaceOptions::default(),
             buildings: BuildingOptions::default(),
             score: ScoreOptions::default(),
+            evidence: EvidenceOptions::default(),
         }
     }
 }

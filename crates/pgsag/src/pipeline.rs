@@ -38,7 +38,7 @@ const IMAGES: &str = "image_width";
 pub static PIPELINE: &[Stage] = &[
     Stage { sources: import::sources,
     ..row::<import::Imported>("import", &[], Per::Whole, &["metres_per_unit"], import::jobs, import::run) },
-    Stage { code: 2,
+    Stage { code: 3,
     ..row::<coarse::Coarse>("coarse", &["import"], Per::Whole, &["coarse", "neighbors", "holdout", "images", IMAGES], coarse::jobs, coarse::run) },
     Stage { sources: masks::sources,
     ..row::<masks::MaskList>("masks", &["import", "coarse"], Per::Image, &["masks", "instances", "geometry", "refine.superpixel_px", IMAGES], masks::jobs, masks::run) },
@@ -55,8 +55,8 @@ pub static PIPELINE: &[Stage] = &[
     row::<mesh::Surface>("mesh", &["import", "masks", "group", "fuse"], Per::Tile, &["surface", IMAGES], mesh::jobs, mesh::run),
     Stage { sources: crate::stages::aoi::sources,
     ..row::<merge::Merged>("merge", &["import", "group", "mesh"], Per::Whole, &["buildings", "surface.voxel_gsd", "surface.voxel_m"], merge::jobs, merge::run) },
-    Stage { sources: score::sources, code: 2,
-    ..row::<score::Scored>("score", &["import", "coarse", "group", "merge"], Per::Whole, &["score", "seed"], score::jobs, score::run) },
+    Stage { sources: score::sources, code: 3,
+    ..row::<score::Scored>("score", &["import", "coarse", "group", "merge"], Per::Whole, &["score", "evidence", "neighbors", "holdout", "images", "seed", IMAGES], score::jobs, score::run) },
     Stage { publishes: Some("result"),
     ..row::<report::Published>("report", &["import", "vote", "group", "train", "merge", "score"], Per::Whole, &["buildings", IMAGES], report::jobs, report::run) },
 ];

@@ -14,8 +14,10 @@ use crate::run::stage::{Job, Per};
 use crate::stages::group::Made;
 use crate::stages::import::Imported;
 use crate::stages::merge::Building;
+use crate::stages::score::evidence::Evidence;
 use crate::stages::train::Trained;
 
+pub mod accuracy;
 pub mod curves;
 pub mod footprints;
 pub mod glb;
@@ -38,6 +40,8 @@ pub struct Content<'a> {
     pub shown: Vec<pictures::Shown>,
     /// Where there was a truth.
     pub score: Option<Score>,
+    /// What was found without one.
+    pub evidence: Evidence,
     /// What the views said of the points; empty without masks.
     pub votes: Vec<Vote>,
     /// The groups themselves.
@@ -73,7 +77,7 @@ pub fn page(job: &Job<'_>, config: &Config, content: &Content<'_>) -> Result<Str
         "face_count": content.face_count, "groups": groups, "buildings": content.buildings,
         "made": content.masked.then_some(content.made),
         "votes": votes::distribution(&content.votes, &config.vote),
-        "shown": content.shown, "score": content.score, "jobs": jobs, "warnings": warnings, "settings": rows,
+        "shown": content.shown, "score": content.score, "evidence": accuracy::shown(&content.evidence), "jobs": jobs, "warnings": warnings, "settings": rows,
     });
     template.render(minijinja::value::Serde(&context)).context("the report")
 }

@@ -48,6 +48,7 @@ const VARIANTS: &[(&str, &str, &[&str])] = &[
     ("from-sparse", "begun from sparse points", &["coarse.stereo=false"]),
     ("all-points", "no sparse point kept back", &["coarse.withheld.share=0"]),
     ("no-filter", "depths not checked against other views", &["filter.max_reprojection_px=1e6", "filter.max_relative_depth=1e6"]),
+    ("no-support", "surface also where no point is near", &["support.reach_spacings=0"]),
     ("steps-kept", "depth steps inside of a pixel kept", &["depth.max_step_gsd=1e6"]),
     ("no-free-space", "volume without free space", &["surface.tsdf.free_space_weight=0"]),
     ("free-space-full", "free space weighs as surface", &["surface.tsdf.free_space_weight=1"]),

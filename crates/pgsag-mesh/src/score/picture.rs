@@ -2,11 +2,9 @@
 
 use glam::DVec3;
 use pgsag_scene::Mesh;
-use rayon::prelude::*;
 
-use super::judge::Known;
 use super::options::Truth;
-use super::surface::{Surface, Target};
+use super::surface::{Cloud, Surface, Target};
 use crate::error::MeshError;
 
 /// Colour of a distance: green at 0 over yellow at half of `cap` to red at `cap` and beyond.
@@ -17,34 +15,32 @@ pub fn distance_color(distance: f64, cap: f64) -> [u8; 3] {
     [(40.0 + 200.0 * red) as u8, (40.0 + 180.0 * green) as u8, 40]
 }
 
-/// The mesh with every vertex coloured by its distance to the truth, red from `cap` (scene units) on.
-///
-/// # Errors
-/// A truth without surface or points.
-pub fn accuracy_map(mesh: &Mesh, truth: &Truth<'_>, cap: f64) -> Result<Mesh, MeshError> {
-    let known = Known::new(truth)?;
-    let colors = mesh
-        .vertices
-        .par_iter()
-        .map(|v| {
-            let hit = known.target().nearest_within(DVec3::from(*v), f64::MAX);
-            distance_color(hit.map_or(cap, |hit| hit.distance), cap)
-        })
-        .collect();
-    Ok(Mesh { colors, ..mesh.clone() })
-}
+/// Answers how far places are from one surface or cloud.
+pub struct Nearest(Box<dyn Target>);
 
-/// One colour per truth point by its distance to the mesh's surface.
-///
-/// # Errors
-/// A mesh without surface.
-pub fn completeness_colors(mesh: &Mesh, points: &[[f64; 3]], cap: f64) -> Result<Vec<[u8; 3]>, MeshError> {
-    let surface = Surface::new(mesh, "the mesh")?;
-    Ok(points
-        .par_iter()
-        .map(|p| {
-            let hit = surface.nearest_within(DVec3::from(*p), f64::MAX);
-            distance_color(hit.map_or(cap, |hit| hit.distance), cap)
-        })
-        .collect())
+impl Nearest {
+    /// From the truth.
+    ///
+    /// # Errors
+    /// A truth without surface or points.
+    pub fn of_truth(truth: &Truth<'_>) -> Result<Self, MeshError> {
+        Ok(Self(match truth {
+            Truth::Mesh(mesh) | Truth::Folder { scene: mesh, .. } => Box::new(Surface::new(mesh, "the truth")?),
+            Truth::Cloud(points) => Box::new(Cloud::new(points.to_vec(), "the truth")?),
+        }))
+    }
+
+    /// From a mesh.
+    ///
+    /// # Errors
+    /// A mesh without surface.
+    pub fn of_mesh(mesh: &Mesh) -> Result<Self, MeshError> {
+        Ok(Self(Box::new(Surface::new(mesh, "the mesh")?)))
+    }
+
+    /// Scene units; `cap` where nothing is nearer, which is found out sooner.
+    #[must_use]
+    pub fn distance(&self, place: DVec3, cap: f64) -> f64 {
+        self.0.nearest_within(place, cap).map_or(cap, |hit| hit.distance.min(cap))
+    }
 }

@@ -256,10 +256,15 @@ fn nonsense_is_refused_and_nothing_is_judged_as_nothing() {
 }
 
 #[test]
-fn maps_are_green_on_the_truth_and_red_off_it() {
+fn distances_are_green_on_the_truth_and_red_off_it() {
     let truth = plate(0.0, 2.0, 0.0);
-    let on = accuracy_map(&truth, &Truth::Mesh(&truth), 0.5).unwrap();
-    assert!(on.colors.iter().all(|c| *c == distance_color(0.0, 0.5) && c[1] > c[0]));
-    let off = accuracy_map(&plate(0.0, 2.0, 3.0), &Truth::Mesh(&truth), 0.5).unwrap();
-    assert!(off.colors.iter().all(|c| c[0] > c[1]));
+    let (near, far) = (distance_color(0.0, 0.5), distance_color(3.0, 0.5));
+    assert!(near[1] > near[0] && far[0] > far[1] && distance_color(0.5, 0.5) == far);
+    for from in [Nearest::of_truth(&Truth::Mesh(&truth)), Nearest::of_mesh(&truth)] {
+        let from = from.unwrap();
+        let at = |z: f64, cap: f64| from.distance(glam::DVec3::new(1.0, 1.0, z), cap);
+        assert!((at(3.0, 9.0) - 3.0).abs() < 1e-12 && at(0.0, 9.0) < 1e-12);
+        assert_eq!(at(3.0, 0.5), 0.5);
+    }
+    assert!(Nearest::of_mesh(&Mesh::default()).is_err());
 }

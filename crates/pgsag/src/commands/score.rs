@@ -1,19 +1,30 @@
 //! `pgsag score`: any mesh against any truth.
 
+use std::collections::BTreeMap;
+use std::path::Path;
+
 use anyhow::Result;
+use pgsag_mesh::evidence::halves::{HalfSpread, HalvesOptions, halves};
 use pgsag_mesh::score::{Distances, Panoptic, Score, ScoreOptions};
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::{existing, print};
 use crate::cli::ScoreArgs;
 use crate::error::UserError;
+use crate::run::artifact::fingerprint_file;
 use crate::stages::aoi::Area;
+use crate::stages::mesh::read_surface;
 use crate::stages::score::score_file;
 use crate::stages::write_json;
 
 /// Scores and prints.
 pub(super) fn run(args: &ScoreArgs, json: bool) -> Result<()> {
-    let (mesh, truth) = (existing(&args.mesh, "the mesh")?, existing(&args.truth, "the truth")?);
+    let mesh = existing(&args.mesh, "the mesh")?;
+    if let Some(other) = &args.against {
+        return against(args, &mesh, &existing(other, "the other mesh")?, json);
+    }
+    let truth = existing(args.truth.as_deref().unwrap_or(Path::new("")), "the truth")?;
     let defaults = ScoreOptions::default();
     let options = ScoreOptions {
         protocol: word("--protocol", &args.protocol, "pgsag, pg-sag, citygs-v2 or tanks-and-temples")?,
@@ -34,6 +45,51 @@ pub(super) fn run(args: &ScoreArgs, json: bool) -> Result<()> {
     }
     for line in table(&score) {
         print(&line)?;
+    }
+    Ok(())
+}
+
+/// `halves.json`: two meshes of different images, each against the other. Lengths but `bias_m` are those of one mesh: the
+/// differences over the square root of 2.
+#[derive(Serialize)]
+struct Halves {
+    protocol: &'static str,
+    spacing_m: f64,
+    reach_m: f64,
+    from_first_m: HalfSpread,
+    from_second_m: HalfSpread,
+    inputs: BTreeMap<&'static str, String>,
+}
+
+/// Compares two meshes, neither of which is the truth.
+fn against(args: &ScoreArgs, mesh: &Path, other: &Path, json: bool) -> Result<()> {
+    let thresholds =
+        if args.threshold.is_empty() { ScoreOptions::default().thresholds_m } else { args.threshold.clone() };
+    let reach_m = thresholds.iter().copied().fold(0.0, f64::max);
+    let spacing_m = args.spacing.unwrap_or_else(|| thresholds.iter().copied().fold(f64::INFINITY, f64::min) / 3.0);
+    let scale = args.metres_per_unit;
+    let options = HalvesOptions { spacing: spacing_m / scale, reach: reach_m / scale, seed: args.seed };
+    let found = halves(&read_surface(mesh)?, &read_surface(other)?, &options)
+        .map_err(|error| UserError::at(mesh, error.to_string(), "see `pgsag score --help`"))?;
+    let [from_first_m, from_second_m] = found.map(|found| found.scaled(scale));
+    let inputs = [("mesh", fingerprint_file(mesh)?), ("against", fingerprint_file(other)?)].into();
+    let found = Halves { protocol: "halves", spacing_m, reach_m, from_first_m, from_second_m, inputs };
+    if let Some(path) = &args.output {
+        write_json(path, &found)?;
+    }
+    if json {
+        return print(&serde_json::to_string(&found)?);
+    }
+    for (name, way) in [("first to second", &found.from_first_m), ("second to first", &found.from_second_m)] {
+        let number = |value: Option<f64>| value.map_or_else(|| "-".into(), |value| format!("{value:.3}"));
+        print(&format!(
+            "{name}: bias {} m; one mesh: spread {} m, 68 % within {} m, 95 % within {} m; {:.1} % has no counterpart within {reach_m} m",
+            number(way.bias),
+            number(way.sigma),
+            number(way.p68),
+            number(way.p95),
+            100.0 * way.alone
+        ))?;
     }
     Ok(())
 }

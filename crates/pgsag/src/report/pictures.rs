@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use pgsag_group::{Group, GroupView};
-use pgsag_mesh::render::{Paint, render};
+use pgsag_mesh::render::{Paint, painted as painted_mesh, visibility};
 use pgsag_scene::files::raster::encode_jpeg;
 use pgsag_scene::{Image, Map, Mask, Mesh, Pinhole, PixelClass};
 use pgsag_splat::backend::{Backend, OptimizerState};
@@ -15,6 +15,7 @@ use crate::photographs::{Photographs, training_camera};
 use crate::run::stage::Job;
 use crate::stages::group::share_of;
 use crate::stages::import::Imported;
+use crate::stages::score::pictures::read_pictures;
 use crate::stages::train::Trained;
 use crate::stages::view_camera;
 
@@ -23,9 +24,9 @@ const SHOWN: usize = 3;
 /// Longest side of a picture.
 const LONGEST_PX: u32 = 420;
 /// Quality of the pictures.
-const QUALITY: u8 = 82;
+pub(crate) const QUALITY: u8 = 82;
 /// Where there is nothing.
-const NOTHING: [u8; 3] = [24, 26, 30];
+pub(crate) const NOTHING: [u8; 3] = [24, 26, 30];
 
 /// One view.
 #[derive(Clone, Debug, Serialize)]
@@ -43,16 +44,21 @@ struct Canvas {
     depth: Map<f32>,
 }
 
-/// Draws the views.
+/// A few views that some group was trained on, far apart.
+pub(crate) fn chosen(groups: &[Group], view_count: usize) -> Vec<usize> {
+    let candidates: Vec<usize> = (0..view_count)
+        .filter(|view| groups.iter().any(|group| group.views.iter().any(|seen| seen.view_index as usize == *view)))
+        .collect();
+    let count = SHOWN.min(candidates.len());
+    (0..count).map(|k| candidates[(2 * k + 1) * candidates.len() / (2 * count)]).collect()
+}
+
+/// Draws the views, and shows beside them what the stage `score` has drawn of them.
 ///
 /// # Errors
 /// Where an artifact cannot be read.
 pub fn shown(job: &Job<'_>, config: &Config, imported: &Imported, groups: &[Group], city: &Mesh) -> Result<Vec<Shown>> {
-    let candidates: Vec<usize> = (0..imported.scene.views.len())
-        .filter(|view| groups.iter().any(|group| group.views.iter().any(|seen| seen.view_index as usize == *view)))
-        .collect();
-    let count = SHOWN.min(candidates.len());
-    let views: Vec<usize> = (0..count).map(|k| candidates[(2 * k + 1) * candidates.len() / (2 * count)]).collect();
+    let views = chosen(groups, imported.scene.views.len());
     let photographs = Photographs::new(imported, config, job, 0);
     let canvases = engine::run(&config.device, &config.simd, Draw { job, config, imported, groups, views: &views })?;
     let mut shown = Vec::new();
@@ -62,23 +68,39 @@ pub fn shown(job: &Job<'_>, config: &Config, imported: &Imported, groups: &[Grou
         let (width, height) = (camera.width, camera.height);
         let photograph = photographs.whole(*view)?.resized(width, height);
         let pose = &imported.scene.views[*view].camera_from_world;
+        let seen = visibility(city, &camera, pose);
+        let surface = |paint| painted_mesh(city, &seen, &camera, pose, paint, NOTHING);
         let pictures = [
             ("photograph", photograph),
             ("Gaussians", colored(&canvas.color)),
             ("normals", normals(&canvas.normal)),
             ("depth", depths(&canvas.depth)),
-            ("surface", render(city, &camera, pose, Paint::Building, NOTHING)),
-            ("surface in colour", render(city, &camera, pose, Paint::Color, NOTHING)),
+            ("surface", surface(Paint::Building)),
+            ("surface in colour", surface(Paint::Color)),
+            ("surface normals", surface(Paint::Normal)),
         ];
+        let pictures = pictures.into_iter().map(|(title, image)| (title.to_owned(), data_uri(&image)));
         shown.push(Shown {
             name: imported.scene.views[*view].name.clone(),
-            pictures: pictures.into_iter().map(|(title, image)| (title.to_owned(), data_uri(&image))).collect(),
+            pictures: pictures.chain(scored(job, |of| of == *view)?).collect(),
         });
+    }
+    let others = scored(job, |of| !views.contains(&of))?;
+    if !others.is_empty() {
+        shown.push(Shown { name: "other images".into(), pictures: others });
     }
     Ok(shown)
 }
 
-fn small(imported: &Imported, view: usize) -> Pinhole {
+/// Title and picture of what the stage `score` has drawn of views.
+fn scored(job: &Job<'_>, keep: impl Fn(usize) -> bool) -> Result<Vec<(String, String)>> {
+    let folder = job.input("score");
+    let kept = read_pictures(&folder)?.into_iter().filter(|picture| keep(picture.view));
+    kept.map(|picture| Ok((picture.title, jpeg_uri(&crate::stages::read(&folder.join(&picture.file))?.1)))).collect()
+}
+
+/// The camera of a picture.
+pub(crate) fn small(imported: &Imported, view: usize) -> Pinhole {
     training_camera(&imported.scene.views[view].camera, LONGEST_PX)
 }
 
@@ -187,7 +209,11 @@ fn depths(depth: &Map<f32>) -> Image {
 /// A picture as it stands in a page.
 #[must_use]
 pub fn data_uri(image: &Image) -> String {
-    format!("data:image/jpeg;base64,{}", base64(&encode_jpeg(image, QUALITY)))
+    jpeg_uri(&encode_jpeg(image, QUALITY))
+}
+
+fn jpeg_uri(bytes: &[u8]) -> String {
+    format!("data:image/jpeg;base64,{}", base64(bytes))
 }
 
 fn base64(bytes: &[u8]) -> String {

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
+use pgsag_mesh::evidence::points::{WithheldOptions, withheld};
 use pgsag_scene::{Scene, SparsePoint, View};
 use pgsag_splat::stereo::{CheckOptions, StereoOptions};
 use pgsag_splat::train::InitialPoint;
@@ -11,13 +12,14 @@ use serde::{Deserialize, Serialize};
 
 use super::import::{Imported, decode_points, encode_points};
 use super::{config, read, write};
+use crate::config::Config;
 use crate::run::Run;
 use crate::run::artifact::Artifact;
 use crate::run::stage::{Cost, Job, JobPlan};
 
 mod dense;
 
-pub(crate) use dense::stereo_camera;
+pub(crate) use dense::{ground_sampling, stereo_camera};
 
 /// Points to begin from.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -26,11 +28,13 @@ pub struct Coarse {
     pub points: Vec<SparsePoint>,
     /// `[points]` unit normals, world frame, zero where one is not known; or empty where none is.
     pub normals: Vec<[f32; 3]>,
+    /// Sparse points (indices into those of `import`) that nothing above was made of, in rising order: witnesses.
+    pub withheld: Vec<u32>,
 }
 
 impl Artifact for Coarse {
     const FORMAT: &'static str = "pgsag-coarse";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
 
     fn read(folder: &Path) -> Result<Self> {
         let (file, bytes) = read(&folder.join("points.bin"))?;
@@ -41,13 +45,18 @@ impl Artifact for Coarse {
         let word = |bytes: &[u8], at: usize| f32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
         let normals: Vec<_> = bytes.chunks_exact(12).map(|row| [word(row, 0), word(row, 4), word(row, 8)]).collect();
         ensure!(normals.is_empty() || normals.len() == points.len(), "{file}: damaged; delete its folder");
-        Ok(Self { points, normals })
+        let (file, bytes) = read(&folder.join("withheld.bin"))?;
+        ensure!(bytes.len() % 4 == 0, "{file}: damaged; delete its folder");
+        let withheld = bytes.as_chunks::<4>().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
+        Ok(Self { points, normals, withheld })
     }
 
     fn write(&self, folder: &Path) -> Result<()> {
         write(&folder.join("points.bin"), &encode_points(&self.points))?;
         let normals: Vec<u8> = self.normals.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-        write(&folder.join("normals.bin"), &normals)
+        write(&folder.join("normals.bin"), &normals)?;
+        let withheld: Vec<u8> = self.withheld.iter().flat_map(|index| index.to_le_bytes()).collect();
+        write(&folder.join("withheld.bin"), &withheld)
     }
 }
 
@@ -112,6 +121,9 @@ pub struct CoarseOptions {
     pub matching: StereoOptions,
     /// Agreement between views.
     pub check: CheckOptions,
+    /// Sparse points that stereo does not begin from and that fill no hole, so that they can judge the surface. None where
+    /// stereo is off: the sparse points are then all there is.
+    pub withheld: WithheldOptions,
 }
 
 impl Default for CoarseOptions {
@@ -125,6 +137,7 @@ impl Default for CoarseOptions {
             cell_gsd: 4.0,
             matching: StereoOptions::default(),
             check: CheckOptions::default(),
+            withheld: WithheldOptions::default(),
         }
     }
 }
@@ -133,6 +146,8 @@ impl Default for CoarseOptions {
 const LONELY_CELLS: f64 = 4.0;
 /// Sparse points with a larger mean reprojection error are not believed without stereo.
 const MAX_ERROR_PX: f32 = 2.0;
+/// Of fewer sparse points than this all are used: a tenth of them would tell nothing.
+const MIN_POINTS_TO_SPARE: usize = 300;
 /// Processor seconds of stereo per pixel, with four neighbours.
 const STEREO_SECS_PER_PIXEL: f64 = 15e-6;
 
@@ -153,22 +168,35 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let config = config(job.run)?;
-    let imported: Imported = job.read("import")?;
-    if config.coarse.stereo {
-        let dense = dense::surface(job, &imported, &config)?;
-        if dense.points.len() > imported.scene.points.len() {
-            let found = dense.points.len();
-            let reach = LONELY_CELLS * dense::cell(&imported.scene, &config).unwrap_or(0.0);
-            let whole = if reach > 0.0 { dense.with_lonely(&imported.scene.points, reach) } else { dense };
-            let alone = whole.points.len() - found;
-            job.say(&format!(
-                "{found} points on surfaces, found by stereo; {alone} sparse ones where it found nothing"
-            ));
-            return job.write(&whole);
-        }
-        job.warn("stereo found fewer points than there are sparse ones; these are used instead");
+    let mut imported: Imported = job.read("import")?;
+    if !config.coarse.stereo {
+        return job.write(&Coarse { points: imported.scene.points, ..Coarse::default() });
     }
-    job.write(&Coarse { points: imported.scene.points, normals: Vec::new() })
+    let withheld = keep_back(&mut imported.scene, &config);
+    let dense = dense::surface(job, &imported, &config)?;
+    if dense.points.len() > imported.scene.points.len() {
+        let found = dense.points.len();
+        let reach = LONELY_CELLS * dense::cell(&imported.scene, &config).unwrap_or(0.0);
+        let whole = if reach > 0.0 { dense.with_lonely(&imported.scene.points, reach) } else { dense };
+        let alone = whole.points.len() - found;
+        job.say(&format!("{found} points on surfaces, found by stereo; {alone} sparse ones where it found nothing"));
+        return job.write(&Coarse { withheld, ..whole });
+    }
+    job.warn("stereo found fewer points than there are sparse ones; these are used instead");
+    job.write(&Coarse { points: imported.scene.points, withheld, ..Coarse::default() })
+}
+
+/// Takes the points that are to judge the surface out of the scene.
+fn keep_back(scene: &mut Scene, config: &Config) -> Vec<u32> {
+    let options = &config.coarse.withheld;
+    if scene.points.len() < MIN_POINTS_TO_SPARE {
+        return Vec::new();
+    }
+    let block = options.block_gsd * ground_sampling(scene, config).unwrap_or(0.0);
+    let kept_back = withheld(&scene.points, block, options);
+    let mut is_out = kept_back.iter();
+    scene.points.retain(|_| !is_out.next().copied().unwrap_or(false));
+    (0..kept_back.len()).filter(|at| kept_back[*at]).map(|at| at as u32).collect()
 }
 
 #[cfg(test)]
@@ -186,10 +214,29 @@ mod tests {
             error_px,
             track: (0..seen).map(|view_index| TrackElement { view_index, xy_px: [0.0; 2] }).collect(),
         };
-        let dense = Coarse { points: vec![point(0.5, 2, 0.0)], normals: vec![[0.0, 0.0, 1.0]] };
+        let normals = vec![[0.0, 0.0, 1.0]];
+        let dense = Coarse { points: vec![point(0.5, 2, 0.0)], normals, withheld: Vec::new() };
         let sparse = [point(1.5, 4, 0.5), point(5.5, 4, 0.5), point(9.5, 2, 0.5), point(13.5, 4, 2.5)];
         let whole = dense.with_lonely(&sparse, 1.0);
         assert_eq!(whole.points.iter().map(|point| point.position_world.x).collect::<Vec<_>>(), [0.5, 5.5]);
         assert_eq!(whole.normals, [[0.0, 0.0, 1.0], [0.0; 3]]);
+    }
+
+    #[test]
+    fn points_that_are_to_judge_leave_the_scene() {
+        use pgsag_scene::synthetic::{Town, TownOptions};
+        let options = TownOptions { view_count: 8, point_count: 600, ..TownOptions::default() };
+        let full = Town::generate(&options).scene;
+        let mut scene = full.clone();
+        let withheld = keep_back(&mut scene, &Config::default());
+        assert!(!withheld.is_empty() && withheld.len() * 4 < full.points.len(), "{}", withheld.len());
+        assert_eq!(scene.points.len() + withheld.len(), full.points.len());
+        assert!(withheld.iter().all(|at| !scene.points.contains(&full.points[*at as usize])));
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let coarse = Coarse { points: scene.points.clone(), withheld, ..Coarse::default() };
+        coarse.write(folder.path()).expect("written");
+        assert_eq!(Coarse::read(folder.path()).expect("ours"), coarse);
+        scene.points.truncate(MIN_POINTS_TO_SPARE - 1);
+        assert_eq!(keep_back(&mut scene, &Config::default()), Vec::<u32>::new());
     }
 }

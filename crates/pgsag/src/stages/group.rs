@@ -260,7 +260,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let area = Area::of(&config)?;
     // The coarse points keep no tracks, the sparse ones do.
     let used = area.views_seeing(&imported.scene);
-    let Coarse { points, normals } = job.read("coarse")?;
+    let Coarse { points, normals, .. } = job.read("coarse")?;
     let scene = Scene { points, ..imported.scene };
     let states = states(job, scene.views.len())?;
     let masked = states.iter().any(|state| *state != MaskState::Unknown);

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use super::group::{Groups, finished_groups};
 use super::import::Imported;
 use super::merge::{Building, Merged};
-use super::score::Scored;
+use super::score::{Scored, read_evidence};
 use super::vote::Votes;
 use super::{config, write, write_json};
 use crate::config::Config;
@@ -62,6 +62,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     write(&job.output().join("city.glb"), &viewable(&city, &imported.scene.frame, &groups))?;
     let shown = report::pictures::shown(job, &config, &imported, &groups, &city)?;
     let Scored(score) = job.read("score")?;
+    let evidence = read_evidence(&job.input("score"))?;
     let face_count = city.faces.len();
     drop(city);
     let Votes { votes, .. } = job.read("vote")?;
@@ -72,6 +73,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         face_count,
         shown,
         score,
+        evidence,
         votes,
         grouped: &groups,
         made,
@@ -89,9 +91,11 @@ fn link_files(job: &Job<'_>, names: &[String]) -> Result<()> {
         let to = job.output().join("gaussians").join(format!("{name}.ply"));
         link(&job.input("train").join(name).join("cloud.ply"), &to)?;
     }
-    let score = job.input("score").join("score.json");
-    if score.exists() {
-        link(&score, &job.output().join("score.json"))?;
+    for name in ["score.json", "evidence.json"] {
+        let file = job.input("score").join(name);
+        if file.exists() {
+            link(&file, &job.output().join(name))?;
+        }
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `score`: the buildings against the truth, where there is one.
+//! `score`: the buildings against the truth, where there is one, and against photographs and points, always.
 
 use std::path::Path;
 
@@ -8,15 +8,22 @@ use pgsag_mesh::score::{Score, ScoreOptions, Truth, off_buildings};
 use pgsag_scene::files::ply::{Cloud, read_cloud, read_mesh};
 use pgsag_scene::{Frame, Mesh};
 
+use self::evidence::{Evidence, gather, in_words};
+use self::pictures::{Easel, write_pictures};
 use super::coarse::Coarse;
 use super::group::Groups;
 use super::import::Imported;
 use super::mesh::read_surface;
 use super::{config, read_json, source_fingerprint, write_json};
+use crate::config::Config;
 use crate::error::UserError;
+use crate::report::pictures::chosen;
 use crate::run::Run;
 use crate::run::artifact::{Artifact, fingerprint_file};
 use crate::run::stage::{Cost, Job, JobPlan};
+
+pub mod evidence;
+pub mod pictures;
 
 /// A score, if there was something to score against.
 #[derive(Clone, Debug, PartialEq)]
@@ -134,44 +141,65 @@ pub(crate) fn sources(run: &Run) -> Result<Vec<(String, String)>> {
     Ok(if truth.is_empty() { Vec::new() } else { vec![("truth".into(), source_fingerprint(Path::new(&truth))?)] })
 }
 
+/// What was found without a truth.
+///
+/// # Errors
+/// Where it is damaged.
+pub fn read_evidence(folder: &Path) -> Result<Evidence> {
+    read_json(&folder.join("evidence.json"))
+}
+
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
-    let bytes = std::fs::metadata(run.stage_folder("merge").join("buildings.ply")).map_or(0, |found| found.len());
-    let truth = config(run)?.truth;
-    let is_asked = !truth.is_empty();
+    let config = config(run)?;
     let length = |path: &Path| std::fs::metadata(path).map_or(0, |found| found.len());
-    let known = Path::new(&truth);
-    let truth_bytes = length(known) + length(&known.join("scene.ply")) + length(&known.join("visible.ply"));
+    let merge = run.stage_folder("merge");
+    let (city, buildings) = (length(&merge.join("city.ply")), length(&merge.join("buildings.ply")));
     let coarse = length(&run.stage_folder("coarse").join("points.bin"));
-    let cost = if is_asked {
-        Cost {
-            memory_bytes: (128 << 20) + 17 * bytes + 10 * truth_bytes + 3 * coarse,
-            disk_bytes: 1 << 16,
-            cpu_secs: 5.0 + bytes as f64 * 1e-6,
-        }
-    } else {
-        Cost::default()
-    };
+    let (mut memory, mut secs) = (15 * city + 3 * coarse, 2.0);
+    secs += (6e-9 * f64::from(config.evidence.pairs) + 60e-9) * city as f64;
+    if !config.truth.is_empty() {
+        let known = Path::new(&config.truth);
+        let truth = length(known) + length(&known.join("scene.ply")) + length(&known.join("visible.ply"));
+        memory += 17 * buildings + 10 * truth;
+        secs += 5.0 + buildings as f64 * 1e-6;
+    }
+    let cost = Cost { memory_bytes: (160 << 20) + memory, disk_bytes: 1 << 20, cpu_secs: secs };
     Ok(JobPlan::whole(&["import", "coarse", "group", "merge"], cost))
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let config = config(job.run)?;
+    let imported: Imported = job.read("import")?;
+    let groups: Groups = job.read("group")?;
+    let city = read_surface(&job.input("merge").join("city.ply"))?;
+    let mut easel = Easel { job, config: &config, imported: &imported, drawn: Vec::new() };
+    let (evidence, shown) = gather(job, &config, &imported, &city)?;
+    easel.residuals(&shown)?;
+    job.say(&in_words(&evidence).unwrap_or_else(|| "nothing can be said of the surface without truth".into()));
+    write_json(&job.output().join("evidence.json"), &evidence)?;
     if config.truth.is_empty() {
+        write_pictures(job, &easel.drawn)?;
         return job.write(&Scored(None));
     }
-    let imported: Imported = job.read("import")?;
+    let truth = TruthFile::read(Path::new(&config.truth))?;
+    let views = chosen(&groups.groups, imported.scene.views.len());
+    easel.distances(&views, &city, &truth).context("pictures of the score")?;
+    write_pictures(job, &easel.drawn)?;
+    drop(city);
+    job.write(&Scored(Some(scored(job, &config, &imported, &groups, &truth)?)))
+}
+
+/// The buildings against the truth.
+fn scored(job: &Job<'_>, config: &Config, imported: &Imported, groups: &Groups, truth: &TruthFile) -> Result<Score> {
     if imported.scene.frame.metres_per_unit.is_none() {
         job.warn("the scale is unknown: thresholds count in scene units");
     }
     let options = ScoreOptions { seed: config.seed, ..in_frame(&config.score, &imported.scene.frame) };
-    let truth = TruthFile::read(Path::new(&config.truth))?;
     let mesh = job.input("merge").join("buildings.ply");
-    let score = score_against(&mesh, Path::new(&config.truth), &truth, &options).context("score")?;
-    let groups: Groups = job.read("group")?;
-    let points_off_buildings = if groups.masked { points_off_buildings(job, &groups, &truth)? } else { None };
-    let score = Score { points_off_buildings, ..score };
+    let score = score_against(&mesh, Path::new(&config.truth), truth, &options).context("score")?;
+    let points_off_buildings = if groups.masked { points_off_buildings(job, groups, truth)? } else { None };
     for note in &score.notes {
         job.warn(note.clone());
     }
-    job.write(&Scored(Some(score)))
+    Ok(Score { points_off_buildings, ..score })
 }

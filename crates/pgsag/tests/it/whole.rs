@@ -19,6 +19,7 @@ fn a_town_becomes_buildings_with_a_score() {
         "gaussians/bg01.ply",
         "georef.json",
         "score.json",
+        "evidence.json",
     ] {
         assert!(result.contains_key(name), "{name} is missing: {:?}", result.keys());
     }
@@ -109,4 +110,34 @@ fn without_masks_there_is_one_surface_and_it_is_said() {
     let summary = fs::read_to_string(run.join("07-train/g001/train.json")).expect("a summary");
     let summary: Value = serde_json::from_str(&summary).expect("JSON");
     assert_eq!(summary["held_out"].as_array().map(Vec::len), Some(2), "every sixth of twelve");
+}
+
+#[test]
+fn a_result_says_how_good_it_is_without_truth_and_against_another() {
+    let (folder, result, _) = reference();
+    let evidence: Value = serde_json::from_slice(&result["evidence.json"]).expect("JSON");
+    let flow = &evidence["flow"];
+    assert_eq!(flow["held_out"], false);
+    let count = |of: &Value| of["patches"].as_u64().expect("a number");
+    assert!(count(&flow["all"]) > 500 && count(&flow["buildings"]) > 50, "{flow}");
+    assert_eq!(count(&flow["all"]), count(&flow["buildings"]) + count(&flow["background"]));
+    let bias = flow["all"]["surface_m"]["bias"].as_f64().expect("a number");
+    assert!(bias.abs() < 0.4, "less than a ground sampling distance: {bias}");
+    assert!((evidence["gsd_m"].as_f64().expect("a number") - 0.4).abs() < 0.15, "{}", evidence["gsd_m"]);
+    assert_eq!(evidence["points"], Value::Null, "without stereo no point can be spared");
+    let report = fs::read_to_string(folder.path().join("run/result/report.html")).expect("a report");
+    for words in ["Accuracy without truth", "they have been fitted", "residuals between photographs", "surface normals"]
+    {
+        assert!(report.contains(words), "{words}");
+    }
+    assert!(report.contains("truth by its distance from the surface"), "there is a truth");
+    let mesh = folder.path().join("run/result/buildings.ply");
+    let against = finish({
+        let mut score = pgsag(["score", "--json"]);
+        score.arg(&mesh).arg("--against").arg(&mesh);
+        score
+    });
+    let found = last_line(&against);
+    assert_eq!(found["from_first_m"]["alone"], 0.0, "{found}");
+    assert!(found["from_first_m"]["p95"].as_f64().expect("a number") < 1e-6, "{found}");
 }

@@ -61,11 +61,16 @@ pub(super) fn surface(job: &Job<'_>, imported: &Imported, config: &Config) -> Re
     survey.with_tracks(kept, &seeds)
 }
 
-/// Cells are a few ground sampling distances of the training images wide.
-pub(super) fn cell(scene: &Scene, config: &Config) -> Option<f64> {
+/// What a pixel of the training images covers at the median depth, scene units.
+pub(crate) fn ground_sampling(scene: &Scene, config: &Config) -> Option<f64> {
     let focal = |camera: &Pinhole| training_camera(camera, config.image_width).focal_px();
     let mut focals: Vec<f64> = scene.views.iter().map(|view| focal(&view.camera)).collect();
-    Some(config.coarse.cell_gsd * scene.median_depth()? / median(&mut focals)?)
+    Some(scene.median_depth()? / median(&mut focals)?)
+}
+
+/// Cells are a few ground sampling distances of the training images wide.
+pub(super) fn cell(scene: &Scene, config: &Config) -> Option<f64> {
+    Some(config.coarse.cell_gsd * ground_sampling(scene, config)?)
 }
 
 /// Per view, the sparse points it sees: position in the full image and depth.
@@ -231,7 +236,8 @@ impl Survey<'_, '_> {
             error_px: 0.0,
             track,
         };
-        Ok(Coarse { points: points.into_iter().zip(tracks).map(sparse).collect(), normals })
+        let points = points.into_iter().zip(tracks).map(sparse).collect();
+        Ok(Coarse { points, normals, withheld: Vec::new() })
     }
 
     fn sighting(
