@@ -112,7 +112,8 @@ fn hardened(scene: &Scene, kept: &[usize], knobs: &Knobs) -> Result<Scene> {
 
 fn write_images(folder: &SceneFolder, kept: &[usize], knobs: &Knobs, to: &Path) -> Result<()> {
     let mut stream = SplitMix64::new(SEED + 1);
-    let gains: Vec<f64> = (0..folder.scene.views.len()).map(|_| (stream.normal() * knobs.gain_spread).exp()).collect();
+    let gains: Vec<f64> =
+        (0..folder.scene.views.len()).map(|_| libm::exp(stream.normal() * knobs.gain_spread)).collect();
     for &view in kept {
         let mut image = knobs.cropped(&folder.read_image(view)?);
         for value in image.pixels.as_flattened_mut() {
