@@ -138,11 +138,13 @@ fn empty_names_and_scripts_are_refused() {
         "crates/a/src/utils.rs",
         "crates/a/src/glue/b.rs",
         "tools/run.sh",
+        "scripts/run.py",
         "data/readme.md",
         "crates/a/tests/golden/b.py",
+        "tools/export.py",
     ];
     let findings = text::forbidden_names(&paths.map(str::to_owned));
-    assert_eq!(findings.iter().map(|finding| finding.path.as_str()).collect::<Vec<_>>(), paths[..3]);
+    assert_eq!(findings.iter().map(|finding| finding.path.as_str()).collect::<Vec<_>>(), paths[..4]);
 }
 
 #[test]
