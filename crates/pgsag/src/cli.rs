@@ -35,6 +35,12 @@ pub enum Command {
     /// Checks a scene before hours are spent.
     #[command(after_help = "Example:\n  pgsag doctor my-city")]
     Doctor(DoctorArgs),
+    /// Building masks by language, or a look at masks that are there.
+    #[command(after_help = "Example:\n  pgsag mask photos -o masks --prompt \"buildings.\" --preview")]
+    Mask(MaskCommand),
+    /// Model bundles: which are there, where to get them, whether they compute rightly.
+    #[command(after_help = "Example:\n  pgsag models verify grounding-dino-tiny")]
+    Models(ModelsArgs),
     /// What would run and why, with memory, disk and time.
     #[command(after_help = "Example:\n  pgsag plan my-city --memory-limit 8GiB")]
     Plan(PlanArgs),
@@ -97,6 +103,177 @@ pub struct DoctorArgs {
     /// Building masks, if not in SCENE/masks.
     #[arg(long, value_name = "DIR|none")]
     pub masks: Option<String>,
+}
+
+/// `pgsag mask`.
+#[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub struct MaskCommand {
+    /// Something else than making masks.
+    #[command(subcommand)]
+    pub look: Option<MaskLook>,
+    /// How masks are made.
+    #[command(flatten)]
+    pub make: MaskArgs,
+}
+
+/// A look at masks that are there.
+#[derive(Debug, Subcommand)]
+pub enum MaskLook {
+    /// Says which masks are missing, of another size, empty, full or not black and white.
+    #[command(after_help = "Example:\n  pgsag mask check photos masks")]
+    Check {
+        /// Folder of photographs.
+        #[arg(value_name = "IMAGES")]
+        images: PathBuf,
+        /// Folder of masks.
+        #[arg(value_name = "MASKS")]
+        masks: PathBuf,
+    },
+}
+
+/// How masks are made.
+#[derive(Debug, Args)]
+pub struct MaskArgs {
+    /// Folder of photographs; sub-folders are searched.
+    #[arg(value_name = "IMAGES", required = true)]
+    pub images: Option<PathBuf>,
+    /// Folder for masks: a/b.jpg becomes a/b.jpg.png.
+    #[arg(short, long, value_name = "MASKS", required = true)]
+    pub output: Option<PathBuf>,
+    /// What to look for; each kind of thing ended by a full stop.
+    #[arg(long, value_name = "WORDS", default_value = "buildings.")]
+    pub prompt: String,
+    /// Least score of a box, 0 to 1; lower finds more, also more that is wrong.
+    #[arg(long, value_name = "P", default_value_t = 0.3)]
+    pub box_threshold: f32,
+    /// Least score of a word to be named in a box's label.
+    #[arg(long, value_name = "P", default_value_t = 0.25)]
+    pub text_threshold: f32,
+    /// By words, everything that stands out, or by points of --points.
+    #[arg(long, value_enum, default_value = "language")]
+    pub mode: MaskMode,
+    /// Which of a box's masks is taken: single, as lang-segment-anything does, stable or best.
+    #[arg(long, value_name = "single|stable|best", default_value = "single")]
+    pub choice: String,
+    /// Cut photographs into tiles of this side, pixels; for those above 8 megapixels; 0: never.
+    #[arg(long, value_name = "PX", default_value_t = 0)]
+    pub tile: u32,
+    /// Share of a tile's side that its neighbour shows as well.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.2)]
+    pub overlap: f64,
+    /// JSON of points and boxes per photograph (docs/models.md); only those photographs are done.
+    #[arg(long, value_name = "FILE")]
+    pub points: Option<PathBuf>,
+    /// Overlays and a page of them, the most unusual first.
+    #[arg(long)]
+    pub preview: bool,
+    /// COCO annotations with run lengths, in detections.coco.json.
+    #[arg(long)]
+    pub coco: bool,
+    /// `no` makes masks again that are there.
+    #[arg(long, value_name = "yes|no", default_value = "yes")]
+    pub resume: YesNo,
+    /// Photographs at once.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub jobs: usize,
+    /// Only photographs whose name fits; * is any text.
+    #[arg(long, value_name = "GLOB")]
+    pub only: Option<String>,
+    /// Fill holes of at most so many pixels.
+    #[arg(long, value_name = "PX", default_value_t = 0)]
+    pub fill_holes: u32,
+    /// Remove pieces of fewer pixels.
+    #[arg(long, value_name = "PX", default_value_t = 0)]
+    pub min_area: u32,
+    /// Move edges outwards.
+    #[arg(long, value_name = "PX", default_value_t = 0)]
+    pub dilate: u32,
+    /// Which networks.
+    #[command(flatten)]
+    pub networks: NetworkArgs,
+}
+
+/// How `pgsag mask` finds things.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum MaskMode {
+    /// By the words of --prompt.
+    Language,
+    /// Everything that stands out, whatever it is.
+    Everything,
+    /// By the points of --points.
+    Points,
+}
+
+/// Which networks, and what computes them.
+#[derive(Clone, Debug, Args)]
+pub struct NetworkArgs {
+    /// Folder of model bundles; default: PGSAG_MODELS, else the user's data folder.
+    #[arg(long, global = true, value_name = "DIR")]
+    pub models_dir: Option<PathBuf>,
+    /// The detector's bundle, if there are several.
+    #[arg(long, global = true, value_name = "NAME", default_value = "")]
+    pub detector: String,
+    /// The segmenter's bundle, if there are several.
+    #[arg(long, global = true, value_name = "NAME", default_value = "")]
+    pub segmenter: String,
+    /// What computes: rten, pure Rust, or ort, ONNX Runtime.
+    #[arg(long, global = true, value_name = "rten|ort", default_value = "rten")]
+    pub runtime: String,
+    /// Where: cpu, or cuda:N with ort; never another than was asked for.
+    #[arg(long, global = true, value_name = "cpu|cuda:N", default_value = "cpu")]
+    pub device: String,
+    /// Threads; 0: all.
+    #[arg(long, global = true, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
+}
+
+/// `pgsag models`.
+#[derive(Debug, Args)]
+pub struct ModelsArgs {
+    /// What to do.
+    #[command(subcommand)]
+    pub what: ModelsWhat,
+    /// Which networks.
+    #[command(flatten)]
+    pub networks: NetworkArgs,
+}
+
+/// What to do with model bundles.
+#[derive(Debug, Subcommand)]
+pub enum ModelsWhat {
+    /// Bundles that are there, and where known ones come from.
+    List,
+    /// Downloads what a manifest pins: revision, size and SHA-256 of each file.
+    Fetch {
+        /// A manifest.toml with `revision`, or a known name.
+        #[arg(value_name = "MANIFEST|NAME")]
+        what: String,
+        /// The licence that the manifest names is accepted.
+        #[arg(long)]
+        accept_license: bool,
+    },
+    /// Compares files with their hashes and runs the self-test.
+    Verify {
+        /// A bundle's name or folder; default: all.
+        #[arg(value_name = "NAME|DIR")]
+        bundle: Option<String>,
+    },
+    /// Takes a bundle's folder, or graphs of others, among the models.
+    Import {
+        /// A bundle's folder, or .onnx files and tokenizer.json.
+        #[arg(value_name = "FILES", required = true)]
+        files: Vec<PathBuf>,
+        /// The bundle's name.
+        #[arg(long, value_name = "NAME")]
+        name: Option<String>,
+        /// The only size that a detector of others is right at.
+        #[arg(long, value_name = "WIDTHxHEIGHT")]
+        size: Option<String>,
+        /// Licence of the weights.
+        #[arg(long, value_name = "NAME", default_value = "unknown")]
+        licence: String,
+    },
 }
 
 /// `pgsag plan`.
@@ -203,7 +380,7 @@ pub enum YesNo {
 #[derive(Clone, Debug, Default, Args)]
 pub struct SettingArgs {
     /// Where building masks come from; default: SCENE/masks where it exists, else geometry.
-    #[arg(long, value_name = "DIR|geometry|none")]
+    #[arg(long, value_name = "DIR|geometry|language|none")]
     pub masks: Option<String>,
     /// Which set of values to start from.
     #[arg(long, value_enum)]

@@ -21,6 +21,8 @@ mod config_table;
 mod demo;
 mod doctor;
 mod job;
+mod mask;
+mod models;
 mod plan;
 mod reconstruct;
 mod score;
@@ -45,6 +47,8 @@ pub fn dispatch(cli: Cli) -> Result<()> {
         Command::Demo(args) => demo::run(&args, cli.json),
         Command::Reconstruct(args) => reconstruct::run(&args, cli.json),
         Command::Doctor(args) => doctor::run(&args, cli.json),
+        Command::Mask(args) => mask::run(&args, cli.json),
+        Command::Models(args) => models::run(&args, cli.json),
         Command::Plan(args) => plan::run(&args, cli.json),
         Command::Status(args) => status::run(&args, cli.json),
         Command::Job(args) => job::run(&args, cli.json),
@@ -152,7 +156,11 @@ fn existing(path: &Path, what: &str) -> Result<PathBuf> {
 fn checked(mut config: Config) -> Result<Config> {
     match config.masks.as_str() {
         "auto" | "none" | "geometry" => {}
-        "language" => return Err(crate::stages::masks::without_model().into()),
+        "language" => {
+            let models = crate::networks::models_folder(&config.language.models)?;
+            crate::networks::bundles(&config.language)?;
+            config.language.models = existing(&models, "the folder of models")?.to_string_lossy().into_owned();
+        }
         folder => config.masks = existing(Path::new(folder), "the folder of masks")?.to_string_lossy().into_owned(),
     }
     if !matches!(config.instances.as_str(), "auto" | "none") {

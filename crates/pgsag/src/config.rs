@@ -16,6 +16,7 @@ use pgsag_mesh::score::ScoreOptions;
 use pgsag_splat::train::{DepthOptions, InitialiseOptions, NeighborOptions, TrainOptions};
 
 use crate::error::UserError;
+use crate::networks::LanguageOptions;
 use crate::run::settings::Settings;
 use crate::stages::coarse::CoarseOptions;
 use crate::stages::group::GroupingOptions;
@@ -102,6 +103,8 @@ pub struct Config {
     pub coarse: CoarseOptions,
     /// Masks from the shape of the scene.
     pub geometry: GeometryOptions,
+    /// Masks by language.
+    pub language: LanguageOptions,
     /// Votes of the views on points.
     pub vote: VoteOptions,
     /// Masks to pixel classes.
@@ -155,6 +158,7 @@ impl Default for Config {
             truth: String::new(),
             coarse: CoarseOptions::default(),
             geometry: GeometryOptions::default(),
+            language: LanguageOptions::default(),
             vote: VoteOptions::default(),
             refine: RefineOptions::default(),
             groups: GroupingOptions::default(),

@@ -6,6 +6,7 @@
 
 use std::path::Path;
 
+use pgsag_models::ModelError;
 use pgsag_scene::error::FileError;
 
 /// Bad input or usage: one line, exit 2.
@@ -49,7 +50,8 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         if let Some(stopped) = cause.downcast_ref::<Interrupted>() {
             return stopped.exit_code;
         }
-        if cause.is::<UserError>() || cause.is::<FileError>() {
+        let is_bad_input = cause.downcast_ref::<ModelError>().is_some_and(ModelError::is_bad_input);
+        if is_bad_input || cause.is::<UserError>() || cause.is::<FileError>() {
             return 2;
         }
     }
@@ -60,7 +62,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
 #[must_use]
 pub fn one_line(error: &anyhow::Error) -> String {
     for cause in error.chain() {
-        if cause.is::<UserError>() || cause.is::<FileError>() {
+        if cause.is::<UserError>() || cause.is::<FileError>() || cause.is::<ModelError>() {
             return cause.to_string().replace('\n', " ");
         }
         if let Some(file) = cause.downcast_ref::<FileError>() {

@@ -9,6 +9,7 @@ pub mod config;
 pub mod engine;
 pub mod error;
 pub mod lengths;
+pub mod networks;
 pub mod photographs;
 pub mod pipeline;
 pub mod report;

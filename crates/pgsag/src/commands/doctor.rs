@@ -11,6 +11,7 @@ use crate::cli::DoctorArgs;
 use crate::config::size_text;
 use crate::engine;
 use crate::error::UserError;
+use crate::networks;
 use crate::run::machine;
 
 mod geometry;
@@ -60,7 +61,7 @@ pub(super) fn run(args: &DoctorArgs, json: bool) -> Result<()> {
     let folder = existing(&args.scene, "the scene")?;
     let mut scene = open_scene(&folder)?;
     match args.masks.as_deref() {
-        None | Some("geometry") => {}
+        None | Some("geometry" | "language") => {}
         Some("none") => scene.mask_paths = vec![None; scene.scene.views.len()],
         Some(masks) => scene.attach_masks(Path::new(masks))?,
     }
@@ -68,6 +69,7 @@ pub(super) fn run(args: &DoctorArgs, json: bool) -> Result<()> {
     findings.extend(geometry::findings(&scene.scene));
     findings.extend(pixels::findings(&scene));
     findings.extend(devices());
+    findings.push(models());
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     for finding in &findings {
         if json {
@@ -94,6 +96,29 @@ pub(super) fn run(args: &DoctorArgs, json: bool) -> Result<()> {
 /// What opening the scene has to say.
 fn notes(scene: &SceneFolder) -> Vec<Finding> {
     scene.notes.iter().map(|note| Finding::new(Severity::Note, note.code, note.text.clone(), "")).collect()
+}
+
+/// Which networks are there for masks by language.
+fn models() -> Finding {
+    let cure = "docs/models.md says how to get one, if masks by language are wanted";
+    let Ok(folder) = networks::models_folder("") else {
+        return Finding::new(Severity::Note, "models", "no folder of models", cure);
+    };
+    let found = pgsag_models::bundle::list(&folder);
+    if found.is_empty() {
+        return Finding::new(Severity::Note, "models", format!("no model bundle in {}", folder.display()), cure);
+    }
+    let said = |bundle: &Result<pgsag_models::Bundle, pgsag_models::ModelError>| match bundle {
+        Ok(bundle) => format!("{} ({:?})", bundle.manifest.name, bundle.manifest.kind).to_lowercase(),
+        Err(error) => error.to_string(),
+    };
+    let list: Vec<String> = found.iter().map(said).collect();
+    let runtimes: Vec<String> = [pgsag_models::RuntimeKind::Rten, pgsag_models::RuntimeKind::Ort]
+        .iter()
+        .filter_map(|kind| networks::engine(*kind, "cpu", 1).ok().map(|engine| engine.description()))
+        .collect();
+    let text = format!("{}: {}; runtimes: {}", folder.display(), list.join(", "), runtimes.join(", "));
+    Finding::new(Severity::Note, "models", text, "")
 }
 
 fn devices() -> Vec<Finding> {

@@ -9,7 +9,6 @@ use glam::DVec3;
 use pgsag_group::Segmenter;
 use pgsag_group::geometry::{self, Points};
 use pgsag_group::plan::PlanFrame;
-use pgsag_group::prompts::PromptOptions;
 use pgsag_group::refine::{Drawing, drawn_labels, mask_of_labels};
 use pgsag_group::segment::named;
 use pgsag_group::surface::Surface;
@@ -25,7 +24,6 @@ use super::{
     batch_file, batch_views, batches, config, read, read_json, source_fingerprint, view_file, write, write_json,
 };
 use crate::config::Config;
-use crate::error::UserError;
 use crate::lengths::Lengths;
 use crate::photographs::{Photographs, training_camera, training_mask};
 use crate::run::Run;
@@ -140,12 +138,14 @@ pub(crate) fn sources(run: &Run) -> Result<Vec<(String, String)>> {
         folder => vec![PathBuf::from(folder)],
     };
     folders.extend(instance_folder(&config));
-    folders
-        .into_iter()
-        .map(|folder| {
-            Ok((folder.file_name().unwrap_or_default().to_string_lossy().into_owned(), source_fingerprint(&folder)?))
-        })
-        .collect()
+    let fingerprint = |folder: PathBuf| -> Result<(String, String)> {
+        Ok((folder.file_name().unwrap_or_default().to_string_lossy().into_owned(), source_fingerprint(&folder)?))
+    };
+    let mut sources = folders.into_iter().map(fingerprint).collect::<Result<Vec<_>>>()?;
+    if config.masks == "language" {
+        sources.extend(crate::networks::sources(&config.language)?);
+    }
+    Ok(sources)
 }
 
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
@@ -161,15 +161,26 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
             cpu_secs: count as f64 * (pixels as f64 * 500e-9 + points as f64 * 50e-9),
         }));
     }
+    let models = match origin(&config(run)?) {
+        Origin::Language => crate::networks::memory_bytes(&config(run)?.language),
+        _ => 0,
+    };
     Ok(batches(imported.scene.views.len(), &["import"], |count| Cost {
-        memory_bytes: (64 << 20) + 8 * pixels * threads,
+        memory_bytes: (64 << 20) + 8 * pixels * threads + models,
         disk_bytes: count as u64 * pixels / 50,
-        cpu_secs: count as f64 * pixels as f64 * 60e-9,
+        cpu_secs: count as f64 * (pixels as f64 * 60e-9 + models as f64 * 8e-9),
     }))
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
-    make(job, None)
+    let wing = model(&config(job.run)?)?;
+    make(job, wing.as_ref().map(|wing| wing as &dyn Segmenter))
+}
+
+/// The networks where masks by language are asked for.
+pub(super) fn model(config: &Config) -> Result<Option<pgsag_models::Wing>> {
+    let is_asked = origin(config) == Origin::Language;
+    is_asked.then(|| crate::networks::wing(&config.language, rayon::current_num_threads())).transpose()
 }
 
 /// The stage, with a model to ask where there is one.
@@ -190,7 +201,7 @@ pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
         return job.write(&MaskList { views: states });
     }
     if origin == Origin::Language {
-        let Some(segmenter) = segmenter else { return Err(without_model().into()) };
+        let segmenter = segmenter.context("masks by language without a model")?;
         return job.write(&MaskList { views: by_language(job, &imported, &config, &views, segmenter)? });
     }
     let folder = with_masks(&imported, &config, origin)?;
@@ -277,15 +288,6 @@ fn by_instances(job: &Job<'_>, views: &[usize], with: &BTreeSet<usize>) -> Resul
     views.iter().map(mask).collect()
 }
 
-/// Why there are no masks by language here.
-pub(crate) fn without_model() -> UserError {
-    UserError::new(
-        "--masks language",
-        "masks by language are not part of this version",
-        "give a folder of masks, --masks geometry, or --masks none",
-    )
-}
-
 /// Masks from a model that is asked for buildings in every image, at the size of training.
 fn by_language(
     job: &Job<'_>,
@@ -295,20 +297,31 @@ fn by_language(
     segmenter: &dyn Segmenter,
 ) -> Result<Vec<(usize, MaskState)>> {
     let photographs = Photographs::new(imported, config, job, 0);
-    let words = PromptOptions::default().words;
+    let words = &config.language.words;
     job.say(&format!("a model is asked for \"{words}\""));
-    let mut states = Vec::with_capacity(views.len());
+    let (mut states, mut shares) = (Vec::with_capacity(views.len()), Vec::with_capacity(views.len()));
     // One image after another: a model takes all threads for itself.
     for (done, &view) in views.iter().enumerate() {
         job.check()?;
         let name = || imported.scene.views[view].name.clone();
-        let mask = named(segmenter, photographs.whole(view)?.as_ref(), &words).with_context(name)?;
+        let mask = named(segmenter, photographs.whole(view)?.as_ref(), words).with_context(name)?;
         write(&job.output().join(view_file(view, "mask.png")), &encode_mask_png(&mask))?;
-        states.push((view, if mask.values.contains(&true) { MaskState::Buildings } else { MaskState::Empty }));
+        let marked = mask.values.iter().filter(|inside| **inside).count();
+        shares.push(marked as f64 / mask.values.len().max(1) as f64);
+        states.push((view, if marked > 0 { MaskState::Buildings } else { MaskState::Empty }));
         job.advance(done as u64 + 1, views.len() as u64, "masks");
+    }
+    shares.sort_by(f64::total_cmp);
+    let median = shares.get(shares.len() / 2).copied().unwrap_or(0.0);
+    if !PLAUSIBLE.contains(&median) {
+        let text = "half of the masks by language mark more than";
+        job.warn(format!("{text} {:.2} % of their image: implausible, look at 03-masks", 100.0 * median));
     }
     Ok(states)
 }
+
+/// Share of an image that buildings cover in aerial photographs of towns.
+const PLAUSIBLE: std::ops::RangeInclusive<f64> = 0.01..=0.85;
 
 /// Masks from the shape of the coarse surface: its points are told apart and drawn into every image.
 fn by_geometry(

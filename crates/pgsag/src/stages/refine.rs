@@ -101,15 +101,18 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let pixels = imported.scene.views.iter().map(|view| view.camera.pixel_count() as u64).max().unwrap_or(0);
     let points = std::fs::metadata(run.stage_folder("vote").join("votes.bin")).map_or(0, |found| found.len() / 9);
     let threads = rayon::current_num_threads() as u64;
+    let config = config(run)?;
+    let models = if config.masks == "language" { crate::networks::memory_bytes(&config.language) } else { 0 };
     Ok(batches(imported.scene.views.len(), &["import", "coarse", "masks", "vote"], |count| Cost {
-        memory_bytes: (64 << 20) + 64 * pixels * threads + 400 * points,
+        memory_bytes: (64 << 20) + 64 * pixels * threads + 400 * points + models,
         disk_bytes: count as u64 * pixels / 16,
         cpu_secs: count as f64 * (pixels as f64 * 600e-9 + points as f64 * 50e-9),
     }))
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
-    make(job, None)
+    let wing = super::masks::model(&config(job.run)?)?;
+    make(job, wing.as_ref().map(|wing| wing as &dyn Segmenter))
 }
 
 /// The stage, with a model to ask for every building where there is one.

@@ -12,6 +12,7 @@ use tempfile::TempDir;
 
 mod bad_input;
 mod killed;
+mod masked;
 mod segmented;
 mod whole;
 

@@ -78,9 +78,7 @@ fn painted(folder: &Path) -> Vec<Map<bool>> {
 fn table(ask: bool) -> &'static [Stage] {
     let mut rows: Vec<Stage> = PIPELINE[..5].to_vec();
     rows[2].run = |job: &Job<'_>| masks::make(job, Some(&Flood));
-    if ask {
-        rows[4].run = |job: &Job<'_>| refine::make(job, Some(&Flood));
-    }
+    rows[4].run = if ask { |job| refine::make(job, Some(&Flood)) } else { |job| refine::make(job, None) };
     Box::leak(rows.into_boxed_slice())
 }
 
