@@ -150,7 +150,7 @@ pub(crate) fn sources(options: &LanguageOptions) -> Result<Vec<(String, String)>
     bundles(options).map_or(Ok(Vec::new()), |bundles| bundles.into_iter().map(fingerprint).collect())
 }
 
-/// What a pixel of a network's input needs while it runs, bytes; measured on GroundingDINO-T and SAM 2 hiera-tiny.
+/// What a pixel of a network's input needs while it runs, bytes; an estimate from published peaks of GroundingDINO-T and SAM 2 hiera-tiny.
 const BYTES_PER_PIXEL: u64 = 1300;
 
 /// What both networks need, bytes: their weights as read and as held, and the larger of the two computations.
