@@ -261,17 +261,28 @@ fn jobs_share_the_memory_limit_and_start_heaviest_first() {
     struct Watch {
         started: std::sync::Mutex<Vec<String>>,
         running: AtomicUsize,
-        both: std::sync::Barrier,
+        changed: std::sync::Condvar,
+    }
+    impl Watch {
+        /// Notes the start of a job; one of the first two waits here until both have started.
+        fn note(&self, job: &str) {
+            let mut started = self.started.lock().expect("unpoisoned");
+            started.push(job.to_string());
+            self.changed.notify_all();
+            if matches!(job, "700" | "200") {
+                let patience = std::time::Duration::from_secs(20);
+                let alone = |started: &mut Vec<String>| started.len() < 2;
+                let (started, waited) = self.changed.wait_timeout_while(started, patience, alone).expect("unpoisoned");
+                assert!(!waited.timed_out(), "nothing was started beside {started:?}, though 1000 bytes hold two jobs");
+            }
+        }
     }
     impl Launcher for Watch {
         fn launch(&self, run: &Run, stage: &'static Stage, order: &Order, share: Limits) -> Result<()> {
             let held = order.plan.cost.memory_bytes as usize;
             assert!(self.running.fetch_add(held, Ordering::SeqCst) + held <= 1000);
             if stage.name == "power" {
-                self.started.lock().expect("unpoisoned").push(order.plan.name.clone());
-                if matches!(order.plan.name.as_str(), "700" | "200") {
-                    self.both.wait();
-                }
+                self.note(&order.plan.name);
             }
             let here = InProcess { cancel: Cancel::default(), progress: Arc::new(Silent) };
             let outcome = here.launch(run, stage, order, share);
@@ -281,8 +292,11 @@ fn jobs_share_the_memory_limit_and_start_heaviest_first() {
     }
     let folder = tempfile::tempdir().expect("temporary folder");
     let run = run(folder.path(), json!({"numbers": "100 700 600 200", "power": 1}));
-    let watch =
-        Watch { started: std::sync::Mutex::default(), running: AtomicUsize::new(0), both: std::sync::Barrier::new(2) };
+    let watch = Watch {
+        started: std::sync::Mutex::default(),
+        running: AtomicUsize::new(0),
+        changed: std::sync::Condvar::new(),
+    };
     let progress: Arc<dyn Progress> = Arc::new(Silent);
     run.execute(None, LIMITS, &watch, &Cancel::default(), &progress).expect("runs");
     let started = watch.started.into_inner().expect("unpoisoned");
