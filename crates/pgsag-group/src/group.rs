@@ -78,6 +78,28 @@ pub struct Group {
     pub points: Vec<u32>,
     /// How many of `points` are the core's.
     pub core_count: usize,
+    /// Share of a run's steps after which each of its points has been looked at as often as in one run on the whole scene,
+    /// 0 to 1 ([`share_steps`]).
+    #[serde(default = "all_steps")]
+    pub steps_share: f32,
+}
+
+fn all_steps() -> f32 {
+    1.0
+}
+
+/// Sets every group's `steps_share`. A step shows one view, and of a small group nearly all of it, of a large one a part:
+/// the smaller takes fewer steps for as many looks at each point. Mean share of a group's points that a step shows, of the
+/// whole scene over that of the group; `view_count` are the scene's views. Method.md 8.14.
+pub fn share_steps(groups: &mut [Group], view_count: usize) {
+    let looks = |group: &Group| group.views.iter().map(|view| f64::from(view.seen_share)).sum::<f64>();
+    let points: f64 = groups.iter().map(|group| group.points.len() as f64).sum();
+    let seen: f64 = groups.iter().map(|group| group.points.len() as f64 * looks(group)).sum();
+    let of_scene = seen / (points * view_count as f64);
+    for group in groups {
+        let share = of_scene * group.views.len() as f64 / looks(group);
+        group.steps_share = if share.is_finite() && share > 0.0 { share.min(1.0) as f32 } else { 1.0 };
+    }
 }
 
 impl Group {
@@ -112,5 +134,52 @@ mod tests {
             assert_eq!(name.parse::<GroupId>().expect("a name").to_string(), name);
         }
         assert!("x1".parse::<GroupId>().is_err() && "g".parse::<GroupId>().is_err());
+    }
+
+    /// A group of so many points, of which each view sees a share.
+    fn seen(point_count: u32, shares: &[f32]) -> Group {
+        let view = |(view_index, seen_share): (u32, &f32)| GroupView {
+            view_index,
+            window_px: [0, 0, 4, 4],
+            active_count: 16,
+            seen_share: *seen_share,
+            gsd: 0.1,
+            incidence_deg: 0.0,
+            azimuth_deg: 0.0,
+        };
+        Group {
+            id: GroupId { kind: GroupKind::Building, number: 1 },
+            origin_world: [0.0; 3],
+            views: (0..).zip(shares).map(view).collect(),
+            held_out: Vec::new(),
+            points: (0..point_count).collect(),
+            core_count: point_count as usize,
+            steps_share: 1.0,
+        }
+    }
+
+    #[test]
+    fn steps_give_every_point_as_many_looks() {
+        // Of 10 views 4 see half of the large group, 2 see all of the small one.
+        let mut groups = [seen(300, &[0.5; 4]), seen(100, &[1.0; 2])];
+        share_steps(&mut groups, 10);
+        let of_scene = (300.0 * 2.0 + 100.0 * 2.0) / (400.0 * 10.0);
+        assert!((groups[0].steps_share - of_scene / 0.5).abs() < 1e-6);
+        assert!((groups[1].steps_share - of_scene).abs() < 1e-6);
+        let looks = |group: &Group| {
+            let seen: f32 = group.views.iter().map(|view| view.seen_share).sum();
+            group.steps_share * seen / group.views.len() as f32
+        };
+        assert!((looks(&groups[0]) - looks(&groups[1])).abs() < 1e-6);
+    }
+
+    #[test]
+    fn one_group_takes_all_steps_and_unknown_shares_change_nothing() {
+        let mut groups = [seen(50, &[0.3; 7])];
+        share_steps(&mut groups, 7);
+        assert!((groups[0].steps_share - 1.0).abs() < 1e-6);
+        let mut groups = [seen(50, &[0.0; 7])];
+        share_steps(&mut groups, 7);
+        assert!((groups[0].steps_share - 1.0).abs() < 1e-6);
     }
 }

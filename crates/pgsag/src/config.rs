@@ -187,7 +187,9 @@ impl Config {
             Preset::Fast => Self { train: TrainOptions::fast(), ..standard },
             Preset::Paper => {
                 let initialise = InitialiseOptions { sh_degree: 3, ..standard.initialise };
-                Self { train: TrainOptions::paper(), initialise, ..standard }
+                // The paper trains every group for all steps.
+                let groups = GroupingOptions { equal_looks: false, ..standard.groups };
+                Self { train: TrainOptions::paper(), initialise, groups, ..standard }
             }
         }
     }
@@ -298,6 +300,7 @@ impl Typed {
             flags.set(key, value.clone());
         }
         layers.push((Source::Flag, "options".into(), flags));
+        layers.iter_mut().for_each(|(_, _, layer)| layer.rename("losses.", "train.weights."));
 
         let defaults = Config::default().settings();
         for (_, place, layer) in &layers {

@@ -92,7 +92,7 @@ impl Default for TrainOptions {
             iterations: 15_000,
             plateau_share: 0.0,
             plateau_steps: 200,
-            weights: LossWeights::default(),
+            weights: LossWeights { ncc_patches: 25_600, ..LossWeights::default() },
             geometric_start: 7.0 / 30.0,
             geometric_ramp: 1.0 / 30.0,
             geometric_gate_start_px: 4.0,

@@ -5,14 +5,13 @@ use serde_json::Value;
 
 use super::{open_run, print, stored_settings};
 use crate::cli::StatusArgs;
-use crate::config::{Config, size_text};
+use crate::config::size_text;
 use crate::run::status::State;
 
 /// Prints a line per job and what is left.
 pub(super) fn run(args: &StatusArgs, json: bool) -> Result<()> {
     let folder = super::existing(&args.run, "the run")?;
     let settings = stored_settings(&folder)?;
-    let steps = Config::from_settings(&settings)?.train.iterations;
     let run = open_run(&folder, settings)?;
     let lines = run.status()?;
     let mut counts = [0_usize; 4];
@@ -24,7 +23,9 @@ pub(super) fn run(args: &StatusArgs, json: bool) -> Result<()> {
             State::Done { wall_secs, peak_memory_bytes } => {
                 (0, format!("done in {wall_secs:.1} s, peak {}", size_text(*peak_memory_bytes)))
             }
-            State::Running { iteration, seconds, loss } => (1, running(*iteration, *seconds, *loss, steps)),
+            State::Running { iteration, iterations, seconds, loss } => {
+                (1, running(iteration.zip(*iterations), *seconds, *loss))
+            }
             State::Waiting { reason } => (2, format!("waiting: {reason}")),
             State::Failed { error } => (3, format!("failed: {error}")),
         };
@@ -42,9 +43,9 @@ pub(super) fn run(args: &StatusArgs, json: bool) -> Result<()> {
     print(&summary)
 }
 
-fn running(iteration: Option<u64>, seconds: Option<f64>, loss: Option<f64>, steps: u32) -> String {
-    let (Some(iteration), Some(seconds)) = (iteration, seconds) else { return "running".into() };
-    let left = seconds * (u64::from(steps).saturating_sub(iteration)) as f64 / iteration.max(1) as f64;
+fn running(steps: Option<(u64, u64)>, seconds: Option<f64>, loss: Option<f64>) -> String {
+    let (Some((iteration, iterations)), Some(seconds)) = (steps, seconds) else { return "running".into() };
+    let left = seconds * iterations.saturating_sub(iteration) as f64 / iteration.max(1) as f64;
     let loss = loss.map_or_else(String::new, |loss| format!(", loss {loss:.4}"));
-    format!("running: step {iteration} of {steps}{loss}, about {left:.0} s left")
+    format!("running: step {iteration} of {iterations}{loss}, about {left:.0} s left")
 }

@@ -26,6 +26,14 @@ fn later_layers_win_and_are_named() {
 }
 
 #[test]
+fn losses_is_short_for_the_weights_of_training() {
+    let found = typed("losses = { reading = \"paper\" }", &["losses.ncc=0.2"], &[]).resolve().expect("good");
+    assert_eq!(found.config.train.weights.reading, pgsag_splat::backend::Reading::Paper);
+    assert!((found.config.train.weights.ncc - 0.2).abs() < 1e-6);
+    assert_eq!(found.sources["train.weights.reading"], Source::File("city.toml".into()));
+}
+
+#[test]
 fn mistakes_are_one_line_with_a_place() {
     let line = |typed: Typed| one_line(&typed.resolve().expect_err("bad"));
     assert_eq!(line(typed("sead = 3", &[], &[])), "city.toml: sead: there is no such key; `pgsag config` lists them");

@@ -67,6 +67,15 @@ impl Settings {
         self.0.insert(key.to_owned(), value);
     }
 
+    /// Keys that begin with `before` begin with `after` instead: a short name for what lies deep.
+    pub fn rename(&mut self, before: &str, after: &str) {
+        let renamed = std::mem::take(&mut self.0).into_iter().map(|(key, value)| match key.strip_prefix(before) {
+            Some(rest) => (format!("{after}{rest}"), value),
+            None => (key, value),
+        });
+        self.0 = renamed.collect();
+    }
+
     /// Takes a key out.
     pub fn remove(&mut self, key: &str) {
         self.0.remove(key);

@@ -25,6 +25,8 @@ pub enum State {
     Running {
         /// From the live log; `None` before the first line.
         iteration: Option<u64>,
+        /// Steps in all.
+        iterations: Option<u64>,
         /// Seconds since it began, from the live log.
         seconds: Option<f64>,
         /// Most recent weighted loss.
@@ -96,6 +98,7 @@ impl Run {
             let last = self.last_log_line(stage, job).unwrap_or_default();
             return State::Running {
                 iteration: last.get("iteration").and_then(Value::as_u64),
+                iterations: last.get("iterations").and_then(Value::as_u64),
                 seconds: last.get("seconds").and_then(Value::as_f64),
                 loss: last.get("loss").and_then(Value::as_f64),
             };

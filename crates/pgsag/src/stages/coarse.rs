@@ -60,6 +60,25 @@ impl Artifact for Coarse {
     }
 }
 
+/// Who measured what.
+pub struct Witnesses<'a> {
+    points: &'a [SparsePoint],
+    /// Views that measured any point; one that was kept out of the coarse model measured none.
+    measuring: BTreeSet<u32>,
+}
+
+impl Witnesses<'_> {
+    /// Whether a view has measured a point itself; so where nobody knows who did, and for views that measured nothing at
+    /// all, which can but believe the others.
+    #[must_use]
+    pub fn include(&self, index: usize, view: usize) -> bool {
+        let track = &self.points[index].track;
+        track.is_empty()
+            || track.iter().any(|seen| seen.view_index as usize == view)
+            || !self.measuring.contains(&(view as u32))
+    }
+}
+
 impl Coarse {
     /// A point as training begins from it.
     #[must_use]
@@ -72,11 +91,11 @@ impl Coarse {
         }
     }
 
-    /// Whether a view has measured a point itself; so where nobody knows who did.
+    /// Which points each view bears witness to.
     #[must_use]
-    pub fn is_measured_by(&self, index: usize, view: usize) -> bool {
-        let track = &self.points[index].track;
-        track.is_empty() || track.iter().any(|seen| seen.view_index as usize == view)
+    pub fn witnesses(&self) -> Witnesses<'_> {
+        let seen = self.points.iter().flat_map(|point| &point.track);
+        Witnesses { points: &self.points, measuring: seen.map(|seen| seen.view_index).collect() }
     }
 
     /// These points, and those of `sparse` that are alone: none of these lies in their cell of width `reach` (scene
@@ -220,6 +239,24 @@ mod tests {
         let whole = dense.with_lonely(&sparse, 1.0);
         assert_eq!(whole.points.iter().map(|point| point.position_world.x).collect::<Vec<_>>(), [0.5, 5.5]);
         assert_eq!(whole.normals, [[0.0, 0.0, 1.0], [0.0; 3]]);
+    }
+
+    #[test]
+    fn a_view_that_measured_nothing_believes_the_others() {
+        let point = SparsePoint {
+            position_world: DVec3::ZERO,
+            color: [0; 3],
+            error_px: 0.0,
+            track: vec![
+                TrackElement { view_index: 1, xy_px: [0.0; 2] },
+                TrackElement { view_index: 2, xy_px: [0.0; 2] },
+            ],
+        };
+        let other = SparsePoint { track: vec![TrackElement { view_index: 3, xy_px: [0.0; 2] }], ..point.clone() };
+        let coarse = Coarse { points: vec![point, other], ..Coarse::default() };
+        let witnesses = coarse.witnesses();
+        let of_first: Vec<bool> = (0..4).map(|view| witnesses.include(0, view)).collect();
+        assert_eq!(of_first, [true, true, true, false]);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Result, ensure};
 use glam::DVec3;
-use pgsag_group::group::origin_of;
+use pgsag_group::group::{origin_of, share_steps};
 use pgsag_group::territory::Share;
 use pgsag_group::{Group, GroupId, GroupKind, GroupView};
 use pgsag_scene::numbers::{median, quantile};
@@ -53,6 +53,8 @@ pub struct GroupingOptions {
     pub min_seen_share: f32,
     /// Views of a group at most: those that see most of it, most squarely and most finely.
     pub max_views: usize,
+    /// Each group takes as many steps as give its points the looks of one run on the whole scene; false: all take all.
+    pub equal_looks: bool,
 }
 
 impl Default for GroupingOptions {
@@ -66,6 +68,7 @@ impl Default for GroupingOptions {
             max_points: 0,
             min_seen_share: 0.02,
             max_views: 300,
+            equal_looks: true,
         }
     }
 }
@@ -267,7 +270,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let within = |index: &u32| area.contains(scene.points[*index as usize].position_world);
     let points: Vec<u32> = (0..scene.points.len() as u32).filter(within).collect();
     let mut made = Made::default();
-    let groups = if masked {
+    let mut groups = if masked {
         let Votes { labels, .. } = job.read("vote")?;
         let division = divide::divide(job, &scene, &points, &labels, &config)?;
         made = division.made;
@@ -284,6 +287,10 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
             "check the masks and the area of interest with `pgsag doctor`",
         )
         .into());
+    }
+    if config.groups.equal_looks {
+        let is_learnt_from = |view: &usize| used[*view] && !config.is_held_out(*view);
+        share_steps(&mut groups, (0..used.len()).filter(is_learnt_from).count());
     }
     for group in &groups {
         job.say(&described(group));
@@ -303,7 +310,11 @@ fn described(group: &Group) -> String {
     let halo = if halo > 0 { format!(" and {halo} around") } else { String::new() };
     let seen = middle(|view| view.seen_share);
     let seen = if seen > 0.0 { format!(", each seeing {:.0} % of it", 100.0 * seen) } else { String::new() };
-    format!("{}: {} points{halo}, {} images{seen}", group.id, group.core_count, group.views.len())
+    let steps = match group.steps_share {
+        share if share < 0.995 => format!(", {:.0} % of the steps", 100.0 * share),
+        _ => String::new(),
+    };
+    format!("{}: {} points{halo}, {} images{seen}{steps}", group.id, group.core_count, group.views.len())
 }
 
 /// The box of nearly all points, half as large again, and the ground sampling distance there.
@@ -343,7 +354,8 @@ fn whole_scene(scene: &Scene, points: Vec<u32>, used: &[bool], config: &Config) 
     let id = GroupId { kind: GroupKind::Building, number: 1 };
     let core_count = points.len();
     let origin_world = origin_of(scene, &points);
-    is_trainable(core_count, views.len()).then_some(Group { id, origin_world, views, held_out, points, core_count })
+    let group = Group { id, origin_world, views, held_out, points, core_count, steps_share: 1.0 };
+    is_trainable(core_count, group.views.len()).then_some(group)
 }
 
 /// Whether training can begin at all.

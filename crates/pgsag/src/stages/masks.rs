@@ -347,13 +347,14 @@ fn by_geometry(
         found.buildings, found.others
     ));
     let photographs = Photographs::new(imported, config, job, 0);
+    let witnesses = coarse.witnesses();
     let done = std::sync::atomic::AtomicU64::new(0);
     let draw = |&view: &usize| {
         job.check()?;
         let camera = photographs.camera(view);
         let pose = &imported.scene.views[view].camera_from_world;
         let seen = surface.render(&surface.buffer_camera(&camera, pose), pose, |_| true);
-        let is_witnessed = |point: u32| coarse.is_measured_by(point as usize, view);
+        let is_witnessed = |point: u32| witnesses.include(point as usize, view);
         let labels = &found.labels;
         let drawing = Drawing { seen: &seen, labels, is_witnessed: &is_witnessed, agreement: AGREEMENT };
         let drawn = drawn_labels(&drawing, photographs.whole(view)?.as_ref(), &config.refine);

@@ -13,7 +13,7 @@ use pgsag_scene::{Map, Mask};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::coarse::Coarse;
+use super::coarse::{Coarse, Witnesses};
 use super::import::Imported;
 use super::masks::{instances_of, mask_of, states};
 use super::vote::Votes;
@@ -129,7 +129,8 @@ pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
     let is_used = config.refine.correct && !labels.is_empty();
     let coarse = if is_used { job.read("coarse")? } else { Coarse::default() };
     let surface = Surface::new(coarse.points.iter().map(|point| point.position_world).collect());
-    let pencil = Pencil { coarse, surface, labels, photographs, imported: &imported };
+    let witnesses = coarse.witnesses();
+    let pencil = Pencil { witnesses, surface, labels, photographs, imported: &imported };
     let asker = segmenter.filter(|_| is_used).map(|segmenter| Asker::new(job, &config, &pencil, segmenter));
     let masks = job.input("masks");
     let done = AtomicU64::new(0);
@@ -165,7 +166,7 @@ const SURE_AGREEMENT: f32 = 0.8;
 
 /// Draws the voted points into images.
 struct Pencil<'a> {
-    coarse: Coarse,
+    witnesses: Witnesses<'a>,
     surface: Surface,
     labels: Vec<Label>,
     photographs: Photographs,
@@ -200,7 +201,7 @@ impl Pencil<'_> {
             return Ok(given.clone());
         }
         let (camera, seen) = (self.photographs.camera(view), self.seen(view));
-        let is_witnessed = |point: u32| self.coarse.is_measured_by(point as usize, view);
+        let is_witnessed = |point: u32| self.witnesses.include(point as usize, view);
         let drawing =
             Drawing { seen: &seen, labels: &self.labels, is_witnessed: &is_witnessed, agreement: SURE_AGREEMENT };
         let drawn = drawn_labels(&drawing, self.photographs.whole(view)?.as_ref(), options);

@@ -197,7 +197,7 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
         let cost = Cost {
             memory_bytes: needs(gaussians, each, coarse, window, all),
             disk_bytes: gaussians * 180,
-            cpu_secs: f64::from(config.train.iterations) * (active * 1.2e-6 + gaussians as f64 * 0.4e-6),
+            cpu_secs: f64::from(steps_of(&group, &config)) * (active * 1.2e-6 + gaussians as f64 * 0.4e-6),
         };
         let inputs = vec![("import", None), ("coarse", None), ("group", Some(name.clone()))];
         Ok(JobPlan { name, inputs, cost })
@@ -217,10 +217,25 @@ fn needs(gaussians: u64, each: u64, coarse: u64, window: u64, all: u64) -> u64 {
     held + (all * CACHE_BYTES_PER_PIXEL).min(held * 2 / 3)
 }
 
+/// No group takes fewer steps than this, unless the whole run does.
+const MIN_STEPS: u32 = 500;
+
+/// Steps of a group's training.
+fn steps_of(group: &Group, config: &Config) -> u32 {
+    let all = config.train.iterations;
+    let share = (f64::from(all) * f64::from(group.steps_share)).round() as u32;
+    share.clamp(MIN_STEPS.min(all), all)
+}
+
+/// How a group is trained.
+fn options_of(group: &Group, config: &Config) -> TrainOptions {
+    TrainOptions { iterations: steps_of(group, config), ..config.train.clone() }
+}
+
 /// The most Gaussians that training may come to: known before it starts, so that memory is.
 fn gaussian_bound(group: &Group, config: &Config) -> usize {
     let most = (MAX_GROWTH * group.points.len() + MAX_GROWTH_FLOOR).min(config.train.density.max_gaussians);
-    config.train.gaussian_bound(group.points.len()).min(most)
+    options_of(group, config).gaussian_bound(group.points.len()).min(most)
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
@@ -239,7 +254,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let points: Vec<_> = group.points.iter().map(|index| coarse.initial_point(*index as usize)).collect();
     let cloud = initialise(&points, group.origin_world, &config.initialise)?;
     let density = DensityOptions { max_gaussians: gaussian_bound(&group, &config), ..config.train.density };
-    let options = TrainOptions { view_cache_bytes: job.memory_bytes / 5, density, ..config.train.clone() };
+    let options = TrainOptions { view_cache_bytes: job.memory_bytes / 5, density, ..options_of(&group, &config) };
     let work = Train { job, views, neighbors, cloud, options };
     let trained = engine::run(&config.device, &config.simd, work)?;
     job.write(&trained)
@@ -305,7 +320,7 @@ fn learn<B: Backend>(job: &Job<'_>, trainer: &mut Trainer<'_, B>, log: &mut Live
 fn log_line(progress: &Progress) -> Value {
     let values = &progress.values;
     json!({
-        "iteration": progress.iteration, "seconds": progress.seconds, "gaussians": progress.gaussians,
+        "iteration": progress.iteration, "iterations": progress.iterations, "seconds": progress.seconds, "gaussians": progress.gaussians,
         "loss": values.total, "l1": values.l1, "dssim": values.dssim, "flatness": values.flatness,
         "normal": values.normal, "geometric": values.geometric, "geometric_valid": values.geometric_valid,
         "ncc": values.ncc, "load": values.load, "free_opacity": values.free_opacity,

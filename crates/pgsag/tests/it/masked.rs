@@ -105,6 +105,38 @@ fn bundles_are_verified_and_nothing_unpinned_is_fetched() {
 }
 
 #[test]
+fn a_pinned_bundle_is_fetched_verified_and_published() {
+    if Command::new("curl").arg("--version").output().is_err() {
+        eprintln!("not tried: there is no curl");
+        return;
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let revision = "0123456789abcdef0123456789abcdef01234567";
+    let text = fs::read_to_string(bundles().join("tiny-sam2/manifest.toml")).expect("a manifest");
+    let pinned = |text: &str| format!("revision = \"{revision}\"\n{text}");
+    let manifest = folder.path().join("manifest.toml");
+    let source = text.lines().find_map(|line| line.strip_prefix("source = ")).expect("a source").trim_matches('"');
+    let served = folder.path().join("server").join(source).join("resolve").join(revision);
+    fs::create_dir_all(&served).expect("a folder");
+    for file in fs::read_dir(bundles().join("tiny-sam2")).expect("a bundle").flatten() {
+        fs::copy(file.path(), served.join(file.file_name())).expect("copied");
+    }
+    let fetch = || {
+        let mut command = pgsag(["models", "fetch", manifest.to_str().expect("a name")]);
+        command.arg("--models-dir").arg(folder.path().join("models")).arg("--accept-license");
+        command.env("HF_ENDPOINT", format!("file://{}", folder.path().join("server").display()));
+        command
+    };
+    fs::write(&manifest, pinned(&text.replace("\"tiny-sam2\"", "\"../tiny-sam2\""))).expect("written");
+    refused(fetch(), "cannot be a folder's name");
+    fs::write(&manifest, pinned(&text)).expect("written");
+    finish(fetch());
+    let mut verify = pgsag(["models", "verify", "tiny-sam2"]);
+    verify.arg("--models-dir").arg(folder.path().join("models"));
+    assert!(words(&finish(verify)).contains("right  tiny-sam2"));
+}
+
+#[test]
 fn a_town_is_reconstructed_with_masks_by_language() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let run = folder.path().join("run");

@@ -24,6 +24,9 @@ pub(super) fn run(models: &Path, what: &str, accept_license: bool) -> Result<()>
     let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
     let cure = "give a manifest.toml with revision, files, sizes and hashes";
     let manifest: Manifest = toml::from_str(&text).map_err(|cause| UserError::at(&path, cause.to_string(), cure))?;
+    if !is_plain(&manifest.name) {
+        return Err(UserError::at(&path, format!("{:?} cannot be a folder's name", manifest.name), cure).into());
+    }
     let is_hex = |text: &str, length| text.len() == length && text.bytes().all(|byte| byte.is_ascii_hexdigit());
     let Some(revision) = manifest.revision.as_deref().filter(|revision| is_hex(revision, 40)) else {
         return Err(UserError::at(&path, "is not pinned: no revision of 40 digits", cure).into());
@@ -50,6 +53,12 @@ pub(super) fn run(models: &Path, what: &str, accept_license: bool) -> Result<()>
     print(&format!("{} is there; `pgsag models verify {}` tries it", manifest.name, manifest.name))
 }
 
+/// Whether a name is one folder, here and on any system.
+fn is_plain(name: &str) -> bool {
+    let is_harmless = |letter: char| letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_' | '.');
+    !name.is_empty() && !name.starts_with('.') && name.chars().all(is_harmless)
+}
+
 /// Goes on where an earlier attempt stopped; a token travels by standard input, where no list of processes shows it.
 fn download(url: &str, target: &Path, file: &BundleFile) -> Result<()> {
     if std::fs::metadata(target).is_ok_and(|found| found.len() == file.bytes) {
@@ -57,7 +66,17 @@ fn download(url: &str, target: &Path, file: &BundleFile) -> Result<()> {
     }
     let cure = "copy the files by hand (docs/models.md), or set HF_ENDPOINT to a mirror";
     let mut curl = Command::new("curl")
-        .args(["--fail", "--location", "--silent", "--show-error", "--continue-at", "-", "--config", "-", "--output"])
+        .args([
+            "--fail",
+            "--location",
+            "--progress-bar",
+            "--show-error",
+            "--continue-at",
+            "-",
+            "--config",
+            "-",
+            "--output",
+        ])
         .arg(target)
         .arg(url)
         .stdin(Stdio::piped())

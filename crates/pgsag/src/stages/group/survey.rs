@@ -203,7 +203,7 @@ impl Patrol<'_, '_> {
             std::fs::rename(self.folder(number), self.job.output().join(id.to_string()))?;
             let origin_world = origin_of(self.scene, &draft.points[..draft.core_count]);
             let Draft { points, core_count, .. } = draft;
-            groups.push(Group { id, origin_world, views, held_out, points, core_count });
+            groups.push(Group { id, origin_world, views, held_out, points, core_count, steps_share: 1.0 });
         }
         if lost > 0 {
             self.job.warn(format!("{lost} points lie in groups that fewer than two images see; these are left out"));
