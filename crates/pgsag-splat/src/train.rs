@@ -14,6 +14,7 @@ pub mod initialise;
 pub mod metrics;
 pub mod neighbors;
 mod plateau;
+mod prefetch;
 pub mod schedule;
 pub mod trainer;
 mod view_cache;

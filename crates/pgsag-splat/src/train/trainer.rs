@@ -15,6 +15,7 @@ use crate::train::exposure::Exposures;
 use crate::train::footprint::{footprints, locate, medians};
 use crate::train::neighbors::Neighbor;
 use crate::train::plateau::Plateau;
+use crate::train::prefetch::Prefetch;
 use crate::train::schedule::TrainOptions;
 use crate::train::view_cache::{Prepared, ViewCache};
 use crate::train::{Result, TrainError, stream};
@@ -77,6 +78,8 @@ pub struct Trainer<'a, B: Backend> {
     gsd: f32,
     cameras: Vec<ViewCamera>,
     cache: ViewCache<B>,
+    /// While steps follow one another.
+    ahead: Option<Prefetch>,
     started: Instant,
 }
 
@@ -156,6 +159,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             gsd: checkpoint.gsd,
             seed: checkpoint.seed,
             cache: ViewCache::new(views, options.view_cache_bytes),
+            ahead: None,
             started: Instant::now(),
             cameras,
             backend,
@@ -239,6 +243,17 @@ impl<'a, B: Backend> Trainer<'a, B> {
     /// # Errors
     /// As [`Self::step`].
     pub fn run(&mut self, until: u32, on_progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<()> {
+        let views = self.views;
+        std::thread::scope(|scope| {
+            self.ahead = Some(Prefetch::start(scope, views));
+            let done = self.run_steps(until, on_progress);
+            // Its thread ends with it, and the scope with the thread.
+            self.ahead = None;
+            done
+        })
+    }
+
+    fn run_steps(&mut self, until: u32, on_progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<()> {
         while self.iteration < until && !self.is_done() {
             let progress = self.step()?;
             if on_progress(&progress).is_break() {
@@ -283,36 +298,62 @@ impl<'a, B: Backend> Trainer<'a, B> {
     /// Views without replacement; a new round is shuffled by (seed, round).
     fn draw_view(&mut self) -> usize {
         if self.stack.is_empty() {
-            self.stack = (0..self.views.len() as u32).collect();
-            let mut random = stream(self.seed, self.round, 0x5eed);
-            for last in (1..self.stack.len()).rev() {
-                self.stack.swap(last, random.below(last + 1));
-            }
+            self.stack = self.shuffled();
             self.round += 1;
         }
         self.stack.pop().map_or(0, |view| view as usize)
     }
 
-    fn draw_neighbor(&self, view: usize, weights: &LossWeights) -> Option<usize> {
+    /// All views, in the order of the next round from the last to the first.
+    fn shuffled(&self) -> Vec<u32> {
+        let mut stack: Vec<u32> = (0..self.views.len() as u32).collect();
+        let mut random = stream(self.seed, self.round, 0x5eed);
+        for last in (1..stack.len()).rev() {
+            stack.swap(last, random.below(last + 1));
+        }
+        stack
+    }
+
+    /// Has the photographs of the next step decoded while this one computes.
+    fn look_ahead(&mut self) {
+        let next = self.iteration + 1;
+        if self.ahead.is_none() || next > self.options.iterations {
+            return;
+        }
+        let Some(view) = self.stack.last().copied().or_else(|| self.shuffled().pop()) else { return };
+        let neighbor = self.draw_neighbor(view as usize, next, &self.options.weights_at(next));
+        for index in std::iter::once(view as usize).chain(neighbor) {
+            if let Some(ahead) = self.ahead.as_mut().filter(|_| !self.cache.holds(index)) {
+                ahead.want(index);
+            }
+        }
+    }
+
+    fn draw_neighbor(&self, view: usize, iteration: u32, weights: &LossWeights) -> Option<usize> {
         let list = &self.neighbors[view];
         if list.is_empty() || (weights.geometric == 0.0 && weights.ncc == 0.0) {
             return None;
         }
-        let drawn = stream(self.seed, self.iteration, 0x0e1f).below(list.len());
+        let drawn = stream(self.seed, iteration, 0x0e1f).below(list.len());
         Some(list[drawn].view as usize)
     }
 
     fn prepared(&mut self, view: usize) -> Result<Arc<Prepared<B::View>>> {
-        self.cache.get(self.backend, self.views, view)
+        let (views, ahead) = (self.views, self.ahead.as_mut());
+        self.cache.get(self.backend, view, || match ahead {
+            Some(ahead) => ahead.take(views, view),
+            None => views.view(view),
+        })
     }
 
     /// Forward, losses, backward, Adam.
     fn learn(&mut self, view: usize, weights: &LossWeights) -> Result<LossValues> {
         let reference = self.prepared(view)?;
-        let other = match self.draw_neighbor(view, weights) {
+        let other = match self.draw_neighbor(view, self.iteration, weights) {
             Some(neighbor) => Some((neighbor, self.prepared(neighbor)?)),
             None => None,
         };
+        self.look_ahead();
         let multi_view = other.is_some();
         let options = RenderOptions {
             sh_degree: self.options.sh_degree_at(self.iteration, self.sh_degree),

@@ -62,15 +62,25 @@ impl<B: Backend> ViewCache<B> {
         Self { entries: (0..views.len()).map(|_| None).collect(), bytes_of, bound, clock: 0 }
     }
 
-    /// The prepared view; the source is asked only where it is not kept.
-    pub(crate) fn get(&mut self, backend: &B, views: &dyn ViewSource, index: usize) -> Result<Arc<Prepared<B::View>>> {
+    /// Whether a view is kept.
+    pub(crate) fn holds(&self, index: usize) -> bool {
+        self.entries[index].is_some()
+    }
+
+    /// The prepared view; `read` is asked only where it is not kept.
+    pub(crate) fn get(
+        &mut self,
+        backend: &B,
+        index: usize,
+        read: impl FnOnce() -> Result<Arc<TrainingView>>,
+    ) -> Result<Arc<Prepared<B::View>>> {
         self.clock += 1;
         if let Some((used, prepared)) = &mut self.entries[index] {
             *used = self.clock;
             return Ok(Arc::clone(prepared));
         }
         self.make_room(index);
-        let view = views.view(index)?;
+        let view = read()?;
         let prepared = Arc::new(Prepared { view: backend.prepare(&view)?, active: CoarseMask::of(&view) });
         self.entries[index] = Some((self.clock, Arc::clone(&prepared)));
         Ok(prepared)
