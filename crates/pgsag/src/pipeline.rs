@@ -53,7 +53,7 @@ pub static PIPELINE: &[Stage] = &[
     ..row::<depth::DepthMaps>("depth", &["import", "coarse", "group", "train"], Per::Group, &["depth", "support", "filter", "neighbors", IMAGES], depth::jobs, depth::run) },
     row::<fuse::Fused>("fuse", &["import", "refine", "group", "depth"], Per::Image, &[IMAGES], fuse::jobs, fuse::run),
     row::<mesh::Surface>("mesh", &["import", "masks", "group", "fuse"], Per::Tile, &["surface", IMAGES], mesh::jobs, mesh::run),
-    Stage { sources: crate::stages::aoi::sources,
+    Stage { sources: crate::stages::aoi::sources, code: 2,
     ..row::<merge::Merged>("merge", &["import", "group", "mesh"], Per::Whole, &["buildings", "surface.voxel_gsd", "surface.voxel_m"], merge::jobs, merge::run) },
     Stage { sources: score::sources, code: 3,
     ..row::<score::Scored>("score", &["import", "coarse", "group", "merge"], Per::Whole, &["score", "evidence", "neighbors", "holdout", "images", "seed", IMAGES], score::jobs, score::run) },

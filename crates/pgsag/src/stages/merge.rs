@@ -9,6 +9,7 @@ use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces};
 use pgsag_mesh::identity::{RoofRules, given_pieces, roof_pieces};
 use pgsag_mesh::merge::split_by_building;
 use pgsag_mesh::render::visibility;
+use pgsag_scene::numbers::{median, quantile};
 use pgsag_scene::{Mesh, Scene};
 use serde::{Deserialize, Serialize};
 
@@ -161,7 +162,11 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let cell = lengths.units(options.plan_cell_m).max(1.5 * voxel);
     let up = imported.scene.frame.up_world;
     let min_area = lengths.square_units(options.min_building_m2);
-    let step = if options.height_step_m > 0.0 { lengths.units(options.height_step_m) } else { f64::INFINITY };
+    let is_parted = options.height_step_m > 0.0 && looks_down(&city, &imported.scene, up);
+    if options.height_step_m > 0.0 && !is_parted {
+        job.say("the cameras stand below the roofs: gaps alone part buildings, not the heights of roofs");
+    }
+    let step = if is_parted { lengths.units(options.height_step_m) } else { f64::INFINITY };
     number_buildings(&mut city, up, &RoofRules { cell, step, min_area })?;
     let buildings = keep_faces(&city, |face| city.buildings[face] != 0);
     let parts = split_by_building(&buildings);
@@ -172,6 +177,21 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         job.warn("no building surface was found inside the masks");
     }
     job.write(&Merged { city, buildings, list })
+}
+
+/// Share of building surface that must lie below the cameras for its highest parts to be roofs.
+const BELOW_CAMERAS_SHARE: f64 = 0.9;
+
+/// Whether most cameras look down on the buildings; from the ground the highest surface is where the view of a facade
+/// happens to end, and its steps mean nothing.
+fn looks_down(city: &Mesh, scene: &Scene, up: DVec3) -> bool {
+    let of_building = (0..city.faces.len()).filter(|face| city.groups.get(*face).is_some_and(|group| *group != 0));
+    let mut surface: Vec<f64> = of_building.map(|face| DVec3::from_array(city.triangle(face)[0]).dot(up)).collect();
+    let mut cameras: Vec<f64> = scene.views.iter().map(|view| view.center_world().dot(up)).collect();
+    match (quantile(&mut surface, BELOW_CAMERAS_SHARE), median(&mut cameras)) {
+        (Some(high), Some(camera)) => camera > high,
+        _ => true,
+    }
 }
 
 /// Numbers the pieces of building surface: as given in instance masks, else from 1, the largest first; small ones become
@@ -298,6 +318,19 @@ mod tests {
         number_buildings(&mut city, DVec3::Z, &rules(1.5)).expect("numbered");
         assert_eq!(city.buildings, [0, 0, 1, 1, 1, 1, 0, 0]);
         assert_eq!(city.groups, [0, 0, 1, 1, 1, 1, 0, 0]);
+    }
+
+    #[test]
+    fn roofs_are_seen_from_above_alone() {
+        use pgsag_scene::synthetic::{Town, TownOptions};
+        let scene = Town::generate(&TownOptions { view_count: 8, point_count: 100, ..TownOptions::default() }).scene;
+        let up = scene.frame.up_world;
+        let mut city = squares(&[(0.0, 1), (1.0, 1), (2.0, 0)]);
+        assert!(looks_down(&city, &scene, up));
+        let lift = 1000.0 * up;
+        city.vertices.iter_mut().for_each(|vertex| *vertex = (DVec3::from_array(*vertex) + lift).to_array());
+        assert!(!looks_down(&city, &scene, up));
+        assert!(looks_down(&Mesh::default(), &scene, up));
     }
 
     #[test]
