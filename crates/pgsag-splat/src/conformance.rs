@@ -22,9 +22,18 @@ const OPEN: Limits = Limits { alpha_cut: 1.0 / 16_777_216.0, transmittance_stop:
 
 /// Runs the suite. `make` builds the backend with given limits; it is called twice.
 pub fn check<B: Backend>(make: impl Fn(Limits) -> B) -> Report {
+    let Ok(report) = try_check(|limits| Ok::<B, std::convert::Infallible>(make(limits)));
+    report
+}
+
+/// The same with a backend that may not be there.
+///
+/// # Errors
+/// What `make` failed with.
+pub fn try_check<B: Backend, E>(make: impl Fn(Limits) -> Result<B, E>) -> Result<Report, E> {
     let mut report = Report::default();
-    let usual = (make(Limits::default()), Reference::new(Limits::default()));
-    let open = (make(OPEN), Reference::new(OPEN));
+    let usual = (make(Limits::default())?, Reference::new(Limits::default()));
+    let open = (make(OPEN)?, Reference::new(OPEN));
     for scene in scenes::all() {
         checks::maps(&usual.0, &usual.1, &scene, &mut report);
         checks::terms(&open.0, &open.1, &scene, &mut report);
@@ -34,5 +43,5 @@ pub fn check<B: Backend>(make: impl Fn(Limits) -> B) -> Report {
     checks::round_trip(&usual.0, &scene, &mut report);
     checks::adam(&open.0, &scene, &mut report);
     checks::reshape(&open.0, &open.1, &scene, &mut report);
-    report
+    Ok(report)
 }

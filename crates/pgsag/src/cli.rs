@@ -97,12 +97,21 @@ pub struct ReconstructArgs {
 /// `pgsag doctor`.
 #[derive(Debug, Args)]
 pub struct DoctorArgs {
-    /// Folder with images/, sparse/ and perhaps masks/.
+    /// Folder with images/, sparse/ and perhaps masks/; without one only the machine is looked at.
     #[arg(value_name = "SCENE")]
-    pub scene: PathBuf,
+    pub scene: Option<PathBuf>,
     /// Building masks, if not in SCENE/masks.
-    #[arg(long, value_name = "DIR|none")]
+    #[arg(long, value_name = "DIR|none", requires = "scene")]
     pub masks: Option<String>,
+    /// Compare what a device computes with the slow true reference: a minute.
+    #[arg(long, conflicts_with = "scene")]
+    pub self_test: bool,
+    /// The device to compare.
+    #[arg(long, value_name = "auto|cpu|gpu[:N]", default_value = "auto", requires = "self_test")]
+    pub device: String,
+    /// Its SIMD level.
+    #[arg(long, value_name = "LEVEL", default_value = "auto", requires = "self_test")]
+    pub simd: String,
 }
 
 /// `pgsag mask`.
@@ -313,6 +322,9 @@ pub struct JobArgs {
     /// Memory, such as 8GiB; default: as the run was started with.
     #[arg(long, value_name = "SIZE")]
     pub memory_limit: Option<String>,
+    /// What computes; default: as the run was started with.
+    #[arg(long, value_name = "cpu|gpu[:N]")]
+    pub device: Option<String>,
     /// Save and stop when standard input is closed: how a parent takes its jobs along.
     #[arg(long, hide = true)]
     pub supervised: bool,
@@ -391,8 +403,8 @@ pub struct SettingArgs {
     /// Longest side of the images in training.
     #[arg(long, value_name = "PX|original")]
     pub image_width: Option<String>,
-    /// What computes.
-    #[arg(long, value_name = "auto|cpu")]
+    /// What computes; auto takes a GPU where there is one.
+    #[arg(long, value_name = "auto|cpu|gpu[:N]")]
     pub device: Option<String>,
     /// Jobs of a stage at once.
     #[arg(long, value_name = "N")]

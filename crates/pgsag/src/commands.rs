@@ -109,14 +109,15 @@ fn limits(config: &Config) -> Result<Limits> {
     };
     // A pool that exists already keeps its size; results do not depend on it.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
-    Ok(Limits { jobs, memory_bytes, threads })
+    Ok(Limits { jobs, memory_bytes, threads, device_jobs: config.jobs as usize, device: None })
 }
 
-/// The run of these settings in this folder.
-fn open_run(folder: &Path, settings: Settings) -> Result<Run> {
+/// The run of these settings in this folder; `device` where another was typed than the settings say.
+fn open_run(folder: &Path, settings: Settings, device: Option<&str>) -> Result<Run> {
     let config = Config::from_settings(&settings)?;
-    let backend = engine::describe(&config.device, &config.simd)?;
-    Ok(Run { folder: folder.to_owned(), table: PIPELINE, settings, seed: config.seed, backend })
+    let (backend, kindred) = engine::describe(device.unwrap_or(&config.device), &config.simd)?;
+    let folder = folder.to_owned();
+    Ok(Run { folder, table: PIPELINE, settings, seed: config.seed, backend, kindred, devices: Vec::new() })
 }
 
 /// The settings that a run was last started with.

@@ -84,7 +84,7 @@ pub struct Config {
     pub instances: String,
     /// Longest side of the images in training, pixels; 0: original.
     pub image_width: u32,
-    /// `auto` or `cpu`.
+    /// `auto` (a GPU where there is one), `cpu`, `gpu` or `gpu:N`.
     pub device: String,
     /// `auto` or a SIMD level that `pgsag doctor` lists.
     pub simd: String,

@@ -36,6 +36,10 @@ pub struct Run {
     pub seed: u64,
     /// Device and SIMD level in words.
     pub backend: String,
+    /// Backends with whose checkpoints a job of this one may go on.
+    pub kindred: Vec<String>,
+    /// Devices that are handed to the jobs of stages on a backend, one each; none: jobs choose for themselves.
+    pub devices: Vec<String>,
 }
 
 impl Run {

@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use pgsag_scene::files::folder::{SceneFolder, open_scene};
+use pgsag_splat::conformance::Comparison;
 use serde::Serialize;
+use serde_json::json;
 
 use super::{existing, print};
 use crate::cli::DoctorArgs;
@@ -14,6 +16,7 @@ use crate::error::UserError;
 use crate::networks;
 use crate::run::machine;
 
+mod cards;
 mod geometry;
 mod pixels;
 
@@ -58,17 +61,15 @@ fn some_of<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
 
 /// Looks at everything and prints what was found, the worst first.
 pub(super) fn run(args: &DoctorArgs, json: bool) -> Result<()> {
-    let folder = existing(&args.scene, "the scene")?;
-    let mut scene = open_scene(&folder)?;
-    match args.masks.as_deref() {
-        None | Some("geometry" | "language") => {}
-        Some("none") => scene.mask_paths = vec![None; scene.scene.views.len()],
-        Some(masks) => scene.attach_masks(Path::new(masks))?,
+    if args.self_test {
+        return self_test(args, json);
     }
-    let mut findings = notes(&scene);
-    findings.extend(geometry::findings(&scene.scene));
-    findings.extend(pixels::findings(&scene));
+    let mut findings = match &args.scene {
+        Some(folder) => of_scene(folder, args)?,
+        None => Vec::new(),
+    };
     findings.extend(devices());
+    findings.extend(cards::findings());
     findings.push(models());
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     for finding in &findings {
@@ -87,10 +88,50 @@ pub(super) fn run(args: &DoctorArgs, json: bool) -> Result<()> {
     }
     match findings.first().filter(|finding| finding.severity == Severity::Error) {
         Some(finding) => {
-            Err(UserError::new(folder.display().to_string(), finding.text.clone(), finding.cure.clone()).into())
+            let place = args.scene.as_ref().map_or_else(|| finding.code.clone(), |scene| scene.display().to_string());
+            Err(UserError::new(place, finding.text.clone(), finding.cure.clone()).into())
         }
         None => Ok(()),
     }
+}
+
+/// What is wrong with a scene.
+fn of_scene(folder: &Path, args: &DoctorArgs) -> Result<Vec<Finding>> {
+    let mut scene = open_scene(&existing(folder, "the scene")?)?;
+    match args.masks.as_deref() {
+        None | Some("geometry" | "language") => {}
+        Some("none") => scene.mask_paths = vec![None; scene.scene.views.len()],
+        Some(masks) => scene.attach_masks(Path::new(masks))?,
+    }
+    let mut findings = notes(&scene);
+    findings.extend(geometry::findings(&scene.scene));
+    findings.extend(pixels::findings(&scene));
+    Ok(findings)
+}
+
+/// Prints how a device differs from the reference, by what was compared; fails where it differs too much.
+fn self_test(args: &DoctorArgs, json: bool) -> Result<()> {
+    let (device, report) = engine::self_test(&args.device, &args.simd)?;
+    for found in report.comparisons.iter().filter(|found| json || !found.passed()) {
+        let Comparison { name, norm, relative_error, cosine, bias, tolerance } = found;
+        print(&json!({"name": name, "norm": norm, "relative_error": relative_error, "cosine": cosine, "bias": bias,
+            "tolerance": tolerance, "passed": found.passed()}).to_string())?;
+    }
+    let failed = report.comparisons.iter().filter(|found| !found.passed()).count();
+    let worst = report.worst().map_or_else(String::new, |worst| {
+        format!("; worst is {}: {:.1e} of at most {:.0e}", worst.name, worst.relative_error, worst.tolerance)
+    });
+    let count = report.comparisons.len();
+    if json {
+        print(&json!({"device": device, "compared": count, "failed": failed, "faults": report.faults}).to_string())?;
+    } else {
+        print(&format!("{device}: {} of {count} quantities agree with the reference{worst}", count - failed))?;
+    }
+    if report.passed() {
+        return Ok(());
+    }
+    let fault = report.faults.first().map_or_else(String::new, |fault| format!(", {fault}"));
+    bail!("{device} does not compute what it should ({failed} of {count} quantities{fault}); use another driver, or --device cpu")
 }
 
 /// What opening the scene has to say.

@@ -21,8 +21,10 @@ pub(super) fn run(args: &JobArgs, json: bool) -> Result<()> {
     if let Some(limit) = &args.memory_limit {
         config.memory_limit.clone_from(limit);
     }
-    let limits = limits(&config)?;
-    let run = open_run(&folder, settings)?;
+    let mut limits = limits(&config)?;
+    let mut run = open_run(&folder, settings, args.device.as_deref())?;
+    run.devices = args.device.iter().cloned().collect();
+    limits.device = args.device.as_ref().map(|_| 0);
     let Some(stage) = run.stage(&args.stage) else {
         let names: Vec<&str> = run.table.iter().map(|stage| stage.name).collect();
         return Err(
@@ -65,5 +67,5 @@ pub(super) fn run(args: &JobArgs, json: bool) -> Result<()> {
         });
     }
     let progress = progress(json);
-    run.run_job(stage, order, limits.memory_bytes, &cancel, &Arc::clone(&progress))
+    run.run_job(stage, order, limits, &cancel, &Arc::clone(&progress))
 }

@@ -22,7 +22,7 @@ pub(super) fn run(args: &PlanArgs, json: bool) -> Result<()> {
     let (folder, config) = what_and_how(args)?;
     let limits = limits(&config)?;
     let until = (!config.until.is_empty()).then(|| config.until.clone());
-    let run = open_run(&folder, config.settings())?;
+    let run = open_run(&folder, config.settings(), None)?;
     let scene = match Imported::read(&run.stage_folder("import")) {
         Ok(imported) => imported.scene,
         Err(_) => open_scene(config.scene.as_ref())?.scene,

@@ -11,6 +11,7 @@ use serde_json::json;
 use super::{cancel_on_signals, checked, existing, limits, open_run, print, progress, store_settings, stored_settings};
 use crate::cli::{ReconstructArgs, YesNo};
 use crate::config::Config;
+use crate::engine;
 use crate::error::UserError;
 use crate::run;
 use crate::run::execute::{Children, InProcess, Summary};
@@ -59,7 +60,8 @@ pub(super) fn execute(folder: &Path, config: Config, afresh: bool, progress: Arc
     let limits = limits(&config)?;
     let until = (!config.until.is_empty()).then(|| config.until.clone());
     let settings = config.settings();
-    let run = open_run(folder, settings)?;
+    let mut run = open_run(folder, settings, None)?;
+    run.devices = engine::devices(&config.device)?;
     store_settings(folder, &run.settings)?;
     let cancel = cancel_on_signals()?;
     let here = InProcess { cancel: cancel.clone(), progress: Arc::clone(&progress) };

@@ -12,7 +12,7 @@ use crate::run::status::State;
 pub(super) fn run(args: &StatusArgs, json: bool) -> Result<()> {
     let folder = super::existing(&args.run, "the run")?;
     let settings = stored_settings(&folder)?;
-    let run = open_run(&folder, settings)?;
+    let run = open_run(&folder, settings, None)?;
     let lines = run.status()?;
     let mut counts = [0_usize; 4];
     for line in &lines {

@@ -1,5 +1,6 @@
 //! Runs what has to run: stage by stage, the jobs of a stage in slots inside the memory limit, heaviest first.
 
+use std::collections::VecDeque;
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::{Path, PathBuf};
@@ -10,7 +11,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, bail};
 
 use super::artifact::{self, Checkpoint};
-use super::manifest::{MANIFEST, Manifest, StageManifest};
+use super::manifest::{Identity, MANIFEST, Manifest, StageManifest};
 use super::plan::{Decision, Order};
 use super::progress::{Progress, relay};
 use super::stage::{Cancel, Cost, Job, Per, Stage, WHOLE};
@@ -26,6 +27,10 @@ pub struct Limits {
     pub memory_bytes: u64,
     /// Threads of all of them.
     pub threads: usize,
+    /// Jobs at once of a stage whose jobs are handed devices; 0: one per device.
+    pub device_jobs: usize,
+    /// Of one job: which of the run's devices it was handed.
+    pub device: Option<usize>,
 }
 
 /// How one job is run to its end.
@@ -47,7 +52,7 @@ pub struct InProcess {
 
 impl Launcher for InProcess {
     fn launch(&self, run: &Run, stage: &'static Stage, order: &Order, share: Limits) -> Result<()> {
-        run.run_job(stage, order, share.memory_bytes, &self.cancel, &self.progress)
+        run.run_job(stage, order, share, &self.cancel, &self.progress)
     }
 }
 
@@ -69,6 +74,7 @@ impl Launcher for Children {
             .args(["job", stage.name, job, "--supervised", "--json", "--run"])
             .arg(&run.folder)
             .args(["--threads", &share.threads.to_string(), "--memory-limit", &share.memory_bytes.to_string()])
+            .args(share.device.iter().flat_map(|&device| ["--device", &run.devices[device]]))
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -206,13 +212,21 @@ impl Run {
         if let Some(order) = pending.iter().find(|order| order.plan.cost.memory_bytes > limits.memory_bytes) {
             return Err(refusal(stage.name, &order.plan.name, order.plan.cost, limits).into());
         }
-        let slots = limits.jobs.clamp(1, pending.len().max(1));
-        let share = |order: &Order| Limits {
+        let mut devices = self.devices_for(stage, limits);
+        let jobs = match (devices.len(), limits.device_jobs) {
+            (0, _) => limits.jobs,
+            (all, 0) => all,
+            (_, typed) => typed,
+        };
+        let slots = jobs.clamp(1, pending.len().max(1));
+        let share = |order: &Order, device| Limits {
             jobs: 1,
             memory_bytes: (limits.memory_bytes / slots as u64).max(order.plan.cost.memory_bytes),
             threads: (limits.threads / slots).max(1),
+            device,
+            ..limits
         };
-        let (sender, receiver) = mpsc::channel::<(&Order, Result<()>)>();
+        let (sender, receiver) = mpsc::channel::<(&Order, Option<usize>, Result<()>)>();
         let (mut running, mut held) = (0, 0_u64);
         let mut failure: Option<anyhow::Error> = None;
         let (mut tried, mut lost): (Vec<&str>, Vec<(String, anyhow::Error)>) = (Vec::new(), Vec::new());
@@ -224,17 +238,18 @@ impl Run {
                     let Some(next) = pending.iter().position(fits) else { break };
                     let order = pending.remove(next);
                     (running, held) = (running + 1, held + order.plan.cost.memory_bytes);
-                    let (sender, share) = (sender.clone(), share(order));
+                    let (sender, share) = (sender.clone(), share(order, devices.pop_front()));
                     scope.spawn(move || {
                         let outcome = self.watched(stage, order, share, launcher, progress);
                         // The receiver lives as long as this scope.
-                        let _ = sender.send((order, outcome));
+                        let _ = sender.send((order, share.device, outcome));
                     });
                 }
                 if running == 0 {
                     break;
                 }
-                let Ok((order, outcome)) = receiver.recv() else { break };
+                let Ok((order, device, outcome)) = receiver.recv() else { break };
+                devices.extend(device);
                 (running, held) = (running - 1, held - order.plan.cost.memory_bytes);
                 let Err(error) = outcome else { continue };
                 let may_go_on = stage.per == Per::Group && exit_code(&error) == 1;
@@ -254,6 +269,13 @@ impl Run {
         }
         cancel.check()?;
         Ok(lost)
+    }
+
+    /// The devices of the slots of a stage, in turn; a device that comes back waits at the end, so that a job that
+    /// failed is tried on another where there is one.
+    fn devices_for(&self, stage: &Stage, limits: Limits) -> VecDeque<usize> {
+        let count = if stage.on_backend { self.devices.len() } else { 0 };
+        (0..count).cycle().take(if count == 0 { 0 } else { limits.device_jobs.max(count) }).collect()
     }
 
     fn watched(
@@ -285,7 +307,7 @@ impl Run {
         &self,
         stage: &'static Stage,
         order: &Order,
-        memory_bytes: u64,
+        share: Limits,
         cancel: &Cancel,
         progress: &Arc<dyn Progress>,
     ) -> Result<()> {
@@ -303,8 +325,10 @@ impl Run {
             run: self,
             stage,
             name,
-            memory_bytes,
+            memory_bytes: share.memory_bytes,
+            device: share.device.map(|device| self.devices[device].clone()).unwrap_or_default(),
             key: order.identity.key(),
+            kindred: self.kindred_keys(stage, order),
             attempt: attempt.clone(),
             attempts,
             cancel: cancel.clone(),
@@ -334,6 +358,12 @@ impl Run {
             }
         }
         outcome
+    }
+
+    /// Keys of the same work on kindred backends.
+    fn kindred_keys(&self, stage: &Stage, order: &Order) -> Vec<String> {
+        let backends = self.kindred.iter().filter(|_| stage.on_backend);
+        backends.map(|backend| Identity { backend: backend.clone(), ..order.identity.clone() }.key()).collect()
     }
 
     /// Renames a complete attempt to its place and removes what is left of other attempts.

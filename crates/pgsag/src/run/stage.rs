@@ -127,7 +127,11 @@ pub struct Job<'a> {
     pub name: String,
     /// Memory that it may hold, bytes.
     pub memory_bytes: u64,
+    /// The device that it was handed; empty: it chooses.
+    pub(super) device: String,
     pub(super) key: String,
+    /// Of the same work on other backends.
+    pub(super) kindred: Vec<String>,
     pub(super) attempt: PathBuf,
     pub(super) attempts: Vec<PathBuf>,
     pub(super) cancel: Cancel,
@@ -217,10 +221,19 @@ impl Job<'_> {
         Ok(self.cancel.check()?)
     }
 
-    /// The newest valid state of any attempt at exactly this work.
+    /// The device that this job was handed, or else the one that was typed.
+    #[must_use]
+    pub fn device<'d>(&'d self, typed: &'d str) -> &'d str {
+        if self.device.is_empty() { typed } else { &self.device }
+    }
+
+    /// The furthest valid state of any attempt at this work, on this backend or a kindred one.
     #[must_use]
     pub fn checkpoint(&self) -> Option<Checkpoint> {
-        Checkpoint::newest(&self.attempts, &self.key)
+        // Of equals the last is taken: what this backend itself made.
+        let keys = self.kindred.iter().chain([&self.key]);
+        let found = keys.filter_map(|key| Checkpoint::newest(&self.attempts, key));
+        found.max_by_key(|checkpoint| checkpoint.step)
     }
 
     /// Saves a state in this attempt.

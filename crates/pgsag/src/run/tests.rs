@@ -117,10 +117,12 @@ fn run(folder: &Path, settings: serde_json::Value) -> Run {
         settings: Settings::flatten(&settings),
         seed: 1,
         backend: "toy".into(),
+        kindred: Vec::new(),
+        devices: Vec::new(),
     }
 }
 
-const LIMITS: Limits = Limits { jobs: 2, memory_bytes: 1000, threads: 2 };
+const LIMITS: Limits = Limits { jobs: 2, memory_bytes: 1000, threads: 2, device_jobs: 2, device: None };
 
 fn execute(run: &Run) -> Result<Summary> {
     let cancel = Cancel::default();

@@ -100,7 +100,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     drop(coarse);
     let support = Support { config: &config, scene: &imported.scene, points_world };
     let work = Render { job, config: &config, views, trained, support };
-    engine::run(&config.device, &config.simd, work)?;
+    engine::run(job.device(&config.device), &config.simd, work)?;
     confirm(job, &config, &imported, &group)?;
     job.write(&DepthMaps { views: group.views })
 }

@@ -256,7 +256,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let density = DensityOptions { max_gaussians: gaussian_bound(&group, &config), ..config.train.density };
     let options = TrainOptions { view_cache_bytes: job.memory_bytes / 5, density, ..options_of(&group, &config) };
     let work = Train { job, views, neighbors, cloud, options };
-    let trained = engine::run(&config.device, &config.simd, work)?;
+    let trained = engine::run(job.device(&config.device), &config.simd, work)?;
     job.write(&trained)
 }
 

@@ -110,10 +110,18 @@ fn execute(scene: &Path, folder: PathBuf, ask: bool) -> Run {
     let mut config = Config { scene: scene.display().to_string(), masks: "language".into(), ..Config::default() };
     config.coarse.stereo = false;
     fs::create_dir_all(folder.join("log")).expect("a folder");
-    let run = Run { folder, table: table(ask), settings: config.settings(), seed: 0, backend: "test".into() };
+    let run = Run {
+        folder,
+        table: table(ask),
+        settings: config.settings(),
+        seed: 0,
+        backend: "test".into(),
+        kindred: Vec::new(),
+        devices: Vec::new(),
+    };
     let (cancel, progress): (Cancel, Arc<dyn Progress>) = (Cancel::default(), Arc::new(Silent));
     let launcher = InProcess { cancel: cancel.clone(), progress: Arc::clone(&progress) };
-    let limits = Limits { jobs: 1, memory_bytes: 4 << 30, threads: 2 };
+    let limits = Limits { jobs: 1, memory_bytes: 4 << 30, threads: 2, device_jobs: 1, device: None };
     run.execute(None, limits, &launcher, &cancel, &progress).expect("runs");
     run
 }
