@@ -7,11 +7,9 @@
 mod kernels;
 mod params;
 
-use std::sync::Arc;
-use pgsag_splat::backend::{
-    BackendError, Exposure, LossValues, LossWeights, Result, Sample, TrainingView, ViewCamera,
-};
 use pgsag_scene::{Mask, PixelClass};
+use pgsag_splat::backend::{BackendError, Exposure, LossValues, LossWeights, Result, Sample, TrainingView, ViewCamera};
+use std::sync::Arc;
 
 use crate::cloud::GpuCloud;
 use crate::device::Device;
@@ -281,8 +279,7 @@ fn carry(record: &mut Recorder<'_>, request: &Request<'_>, desk: &Desk, (other, 
         [(request.reference, &desk.params[0], &pair.d_depth), (other, &desk.params[1], &pair.links)]
     {
         let Side { view, maps, grads, .. } = side;
-        let buffers: [&Buffer; 7] =
-            [params, &view.pixels, maps, grads, &view.active.list, &desk.terms, d_depth];
+        let buffers: [&Buffer; 7] = [params, &view.pixels, maps, grads, &view.active.list, &desk.terms, d_depth];
         record.run(&kernels::CARRY, &buffers, Groups::Count(view.active.count.into()));
     }
 }

@@ -147,9 +147,7 @@ fn typed(device: &str) -> Result<Typed> {
             Some(which) => Typed::Gpu(which.to_owned()),
             None => {
                 let place = format!("--device {device}");
-                return Err(
-                    UserError::new(place, "there is no such device", "use auto, cpu, gpu or gpu:N").into()
-                );
+                return Err(UserError::new(place, "there is no such device", "use auto, cpu, gpu or gpu:N").into());
             }
         },
     })

@@ -16,6 +16,7 @@ pub mod manifest;
 pub mod plan;
 pub mod progress;
 pub mod settings;
+mod slots;
 pub mod stage;
 pub mod status;
 

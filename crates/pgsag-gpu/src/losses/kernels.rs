@@ -87,6 +87,6 @@ kernel!(
 
 /// Kernels of this room.
 pub(crate) const KERNELS: &[&Kernel] = &[
-    &VIEW, &FULL, &SSIM, &COLOR, &NORMAL, &SLANT, &GEOMETRIC, &CARRY, &MARK, &RANK, &NCC, &PATCHES, &FREE, &LOAD, &LEVEL,
-    &REDUCE, &TOTAL,
+    &VIEW, &FULL, &SSIM, &COLOR, &NORMAL, &SLANT, &GEOMETRIC, &CARRY, &MARK, &RANK, &NCC, &PATCHES, &FREE, &LOAD,
+    &LEVEL, &REDUCE, &TOTAL,
 ];

@@ -3,8 +3,8 @@
 use pgsag_scene::numbers::SplitMix64;
 use pgsag_scene::{Image, Map, Mask, Pinhole, PixelClass};
 use pgsag_splat::backend::{Exposure, LossValues, LossWeights, Reading, TrainingView, ViewCamera};
-use pgsag_splat::equations::{Scalar, plane};
 use pgsag_splat::equations::projection::Lens;
+use pgsag_splat::equations::{Scalar, plane};
 use pgsag_splat::losses::{Evaluation, Inputs, LossView, RenderedMaps, evaluate};
 
 use super::{Request, Side, compare};
@@ -59,9 +59,8 @@ fn seen(camera: ViewCamera, masked: bool) -> Seen {
         let n = [normal[0] + wave, normal[1] - 0.5 * wave, normal[2]].map(|value| (value * alpha) as f32);
         let d = (distance * (1.0 + wave) * alpha) as f32;
         let z = plane::depth(f64::from(d), n.map(f64::from), ray);
-        let here = [0, 1, 2].map(|k| {
-            (0..3).map(|row| lens.rotation[row][k] * (ray[row] * z - lens.translation[row])).sum::<f64>()
-        });
+        let here = [0, 1, 2]
+            .map(|k| (0..3).map(|row| lens.rotation[row][k] * (ray[row] * z - lens.translation[row])).sum::<f64>());
         let shade = |channel: f64| {
             let wave = libm::sin(4.1 * here[0] + channel) * libm::cos(3.3 * here[1]);
             0.5 + 0.28 * wave + 0.16 * libm::sin(6.7 * here[1] - 2.9 * here[0] + 0.5 * channel)

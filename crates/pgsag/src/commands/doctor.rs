@@ -114,8 +114,11 @@ fn self_test(args: &DoctorArgs, json: bool) -> Result<()> {
     let (device, report) = engine::self_test(&args.device, &args.simd)?;
     for found in report.comparisons.iter().filter(|found| json || !found.passed()) {
         let Comparison { name, norm, relative_error, cosine, bias, tolerance } = found;
-        print(&json!({"name": name, "norm": norm, "relative_error": relative_error, "cosine": cosine, "bias": bias,
-            "tolerance": tolerance, "passed": found.passed()}).to_string())?;
+        print(
+            &json!({"name": name, "norm": norm, "relative_error": relative_error, "cosine": cosine, "bias": bias,
+            "tolerance": tolerance, "passed": found.passed()})
+            .to_string(),
+        )?;
     }
     let failed = report.comparisons.iter().filter(|found| !found.passed()).count();
     let worst = report.worst().map_or_else(String::new, |worst| {
@@ -131,7 +134,9 @@ fn self_test(args: &DoctorArgs, json: bool) -> Result<()> {
         return Ok(());
     }
     let fault = report.faults.first().map_or_else(String::new, |fault| format!(", {fault}"));
-    bail!("{device} does not compute what it should ({failed} of {count} quantities{fault}); use another driver, or --device cpu")
+    bail!(
+        "{device} does not compute what it should ({failed} of {count} quantities{fault}); use another driver, or --device cpu"
+    )
 }
 
 /// What opening the scene has to say.

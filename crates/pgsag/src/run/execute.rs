@@ -1,6 +1,5 @@
 //! Runs what has to run: stage by stage, the jobs of a stage in slots inside the memory limit, heaviest first.
 
-use std::collections::VecDeque;
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::{Path, PathBuf};
@@ -14,6 +13,7 @@ use super::artifact::{self, Checkpoint};
 use super::manifest::{Identity, MANIFEST, Manifest, StageManifest};
 use super::plan::{Decision, Order};
 use super::progress::{Progress, relay};
+use super::slots::Slots;
 use super::stage::{Cancel, Cost, Job, Per, Stage, WHOLE};
 use super::{Run, machine};
 use crate::error::{Interrupted, UserError, exit_code};
@@ -212,50 +212,31 @@ impl Run {
         if let Some(order) = pending.iter().find(|order| order.plan.cost.memory_bytes > limits.memory_bytes) {
             return Err(refusal(stage.name, &order.plan.name, order.plan.cost, limits).into());
         }
-        let mut devices = self.devices_for(stage, limits);
-        let jobs = match (devices.len(), limits.device_jobs) {
-            (0, _) => limits.jobs,
-            (all, 0) => all,
-            (_, typed) => typed,
-        };
-        let slots = jobs.clamp(1, pending.len().max(1));
-        let share = |order: &Order, device| Limits {
-            jobs: 1,
-            memory_bytes: (limits.memory_bytes / slots as u64).max(order.plan.cost.memory_bytes),
-            threads: (limits.threads / slots).max(1),
-            device,
-            ..limits
-        };
-        let (sender, receiver) = mpsc::channel::<(&Order, Option<usize>, Result<()>)>();
-        let (mut running, mut held) = (0, 0_u64);
+        let mut slots = Slots::new(limits, if stage.on_backend { self.devices.len() } else { 0 }, pending.len());
+        let (sender, receiver) = mpsc::channel::<(&Order, Limits, Result<()>)>();
         let mut failure: Option<anyhow::Error> = None;
-        let (mut tried, mut lost): (Vec<&str>, Vec<(String, anyhow::Error)>) = (Vec::new(), Vec::new());
+        let mut lost: Vec<(String, anyhow::Error)> = Vec::new();
         std::thread::scope(|scope| {
             loop {
-                while running < slots && !cancel.is_requested() {
-                    let fits =
-                        |order: &&Order| running == 0 || held + order.plan.cost.memory_bytes <= limits.memory_bytes;
-                    let Some(next) = pending.iter().position(fits) else { break };
-                    let order = pending.remove(next);
-                    (running, held) = (running + 1, held + order.plan.cost.memory_bytes);
-                    let (sender, share) = (sender.clone(), share(order, devices.pop_front()));
+                while !cancel.is_requested()
+                    && let Some((order, share)) = slots.start(&mut pending)
+                {
+                    let sender = sender.clone();
                     scope.spawn(move || {
                         let outcome = self.watched(stage, order, share, launcher, progress);
                         // The receiver lives as long as this scope.
-                        let _ = sender.send((order, share.device, outcome));
+                        let _ = sender.send((order, share, outcome));
                     });
                 }
-                if running == 0 {
+                if slots.is_idle() {
                     break;
                 }
-                let Ok((order, device, outcome)) = receiver.recv() else { break };
-                devices.extend(device);
-                (running, held) = (running - 1, held - order.plan.cost.memory_bytes);
+                let Ok((order, share, outcome)) = receiver.recv() else { break };
+                slots.end(order, share);
                 let Err(error) = outcome else { continue };
                 let may_go_on = stage.per == Per::Group && exit_code(&error) == 1;
-                if may_go_on && !tried.contains(&order.plan.name.as_str()) {
+                if may_go_on && slots.is_first_failure(order, share) {
                     progress.note(stage.name, &order.plan.name, &format!("is tried once more: {error:#}"));
-                    tried.push(&order.plan.name);
                     pending.push(order);
                 } else if may_go_on {
                     lost.push((order.plan.name.clone(), error));
@@ -269,13 +250,6 @@ impl Run {
         }
         cancel.check()?;
         Ok(lost)
-    }
-
-    /// The devices of the slots of a stage, in turn; a device that comes back waits at the end, so that a job that
-    /// failed is tried on another where there is one.
-    fn devices_for(&self, stage: &Stage, limits: Limits) -> VecDeque<usize> {
-        let count = if stage.on_backend { self.devices.len() } else { 0 };
-        (0..count).cycle().take(if count == 0 { 0 } else { limits.device_jobs.max(count) }).collect()
     }
 
     fn watched(
@@ -361,7 +335,7 @@ impl Run {
     }
 
     /// Keys of the same work on kindred backends.
-    fn kindred_keys(&self, stage: &Stage, order: &Order) -> Vec<String> {
+    pub(super) fn kindred_keys(&self, stage: &Stage, order: &Order) -> Vec<String> {
         let backends = self.kindred.iter().filter(|_| stage.on_backend);
         backends.map(|backend| Identity { backend: backend.clone(), ..order.identity.clone() }.key()).collect()
     }

@@ -317,3 +317,81 @@ fn two_processes_do_not_share_a_run() {
     drop(guard);
     assert!(lock(folder.path()).is_ok());
 }
+
+static ON_DEVICES: &[Stage] = &[
+    Stage { slice: &["numbers"], ..toy("list", &[], Per::Whole, |_| Ok(JobPlan::whole(&[], Cost::default())), list) },
+    Stage { on_backend: true, ..toy("power", &["list"], Per::Group, power_jobs, on_a_device) },
+];
+
+/// Meets the other job, then writes on which device it is; the one called `broken` fails whatever it is given.
+fn on_a_device(job: &Job<'_>) -> Result<()> {
+    let device = job.device("typed").to_owned();
+    let here = job.run.folder.join(format!("met.{}", job.name));
+    let others = || numbers(job.run).into_iter().all(|other| job.run.folder.join(format!("met.{other}")).exists());
+    fs::write(here, "")?;
+    for _ in 0..500 {
+        if others() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    anyhow::ensure!(others(), "the other job does not run");
+    anyhow::ensure!(device != "broken", "{device} is lost");
+    fs::write(job.output().join("device.txt"), device)?;
+    Ok(())
+}
+
+fn with_devices(folder: &Path, devices: [&str; 2]) -> Run {
+    let devices = devices.map(str::to_owned).into();
+    Run { table: ON_DEVICES, devices, ..run(folder, json!({"numbers": "2 3"})) }
+}
+
+fn device_of(folder: &Path, job: &str) -> String {
+    fs::read_to_string(folder.join("02-power").join(job).join("device.txt")).expect("finished")
+}
+
+#[test]
+fn jobs_at_once_are_handed_a_device_each() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    execute(&with_devices(folder.path(), ["first", "second"])).expect("runs");
+    assert_eq!((device_of(folder.path(), "3"), device_of(folder.path(), "2")), ("first".into(), "second".into()));
+}
+
+#[test]
+fn a_job_whose_device_is_lost_is_tried_once_on_another() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let summary = execute(&with_devices(folder.path(), ["broken", "sound"])).expect("runs");
+    assert!(summary.lost.is_empty(), "{summary:?}");
+    assert_eq!((device_of(folder.path(), "3"), device_of(folder.path(), "2")), ("sound".into(), "sound".into()));
+}
+
+#[test]
+fn a_checkpoint_of_a_kindred_backend_is_gone_on_with() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    static TABLE: &[Stage] = &[
+        Stage {
+            slice: &["numbers"],
+            ..toy("list", &[], Per::Whole, |_| Ok(JobPlan::whole(&[], Cost::default())), list)
+        },
+        Stage { on_backend: true, slice: &["power"], ..toy("power", &["list"], Per::Group, power_jobs, power) },
+    ];
+    let on = |backend: &str, kindred: &[&str], settings| Run {
+        table: TABLE,
+        backend: backend.into(),
+        kindred: kindred.iter().map(|word| (*word).to_owned()).collect(),
+        ..run(folder.path(), settings)
+    };
+    let stopped = on("cpu", &[], json!({"numbers": "3", "power": 2, "stop": 20}));
+    assert_eq!(exit_code(&execute(&stopped).expect_err("stopped")), 130);
+    let found = |run: &Run| {
+        let order = run.orders(&TABLE[1]).expect("orders").remove(0);
+        let keys = std::iter::once(order.identity.key()).chain(run.kindred_keys(&TABLE[1], &order));
+        keys.filter_map(|key| artifact::Checkpoint::newest(&run.attempts("power", "3"), &key)).count()
+    };
+    let settings = json!({"numbers": "3", "power": 2});
+    assert_eq!(found(&on("gpu", &[], settings.clone())), 0);
+    let kindred = on("gpu", &["cpu"], settings);
+    assert_eq!(found(&kindred), 1);
+    execute(&kindred).expect("goes on");
+    assert!(kindred.attempts("power", "3").is_empty());
+}
