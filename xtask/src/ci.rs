@@ -15,6 +15,10 @@ pub(crate) fn run(root: &Path) -> Result<()> {
         let words = ["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"];
         shell(root, "cargo", &words)
     });
+    steps.run("clippy gpu", || {
+        let words = ["clippy", "-p", "pgsag", "--features", "gpu", "--all-targets", "--locked", "--", "-D", "warnings"];
+        shell(root, "cargo", &words)
+    });
     steps.run("tests", || shell(root, "cargo", &["test", "--workspace", "--locked", "--no-fail-fast"]));
     steps.run("doc", || {
         let words = ["doc", "--workspace", "--no-deps", "--locked"];
