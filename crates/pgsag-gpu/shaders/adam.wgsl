@@ -42,11 +42,14 @@ struct Step {
 
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;
+// 1 - BETA, not as a difference of rounded numbers.
+const SHARE_1: f32 = 0.1;
+const SHARE_2: f32 = 0.001;
 const EPSILON: f32 = 1e-15;
 
 fn moved(x: f32, m: f32, v: f32, g: f32, rate: f32) -> vec3<f32> {
-    let first = BETA_1 * m + (1.0 - BETA_1) * g;
-    let second = BETA_2 * v + (1.0 - BETA_2) * g * g;
+    let first = BETA_1 * m + SHARE_1 * g;
+    let second = BETA_2 * v + SHARE_2 * g * g;
     let next = x - rate * step.corrections.x * first / (step.corrections.y * sqrt(second) + EPSILON);
     // All bits of the exponent: not a finite number.
     if (bitcast<u32>(next) & 0x7f800000u) == 0x7f800000u {

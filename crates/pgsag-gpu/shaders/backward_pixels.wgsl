@@ -17,8 +17,6 @@ const BATCH: u32 = 256u;
 var<workgroup> batch: array<vec4<f32>, 1024>;
 // Slot plus one; 0 where the pair covers no pixel.
 var<workgroup> batch_slots: array<u32, 256>;
-var<workgroup> tile_last: atomic<u32>;
-var<workgroup> tile_end: u32;
 
 fn add(slot: u32, share: Share) {
     let at = SUMS * slot;
@@ -73,18 +71,9 @@ fn main(
         up = upstream_at(pixel, size);
         walk.rest = rest_at(pixel, size, up);
     }
-    if lane == 0u {
-        atomicStore(&tile_last, 0u);
-    }
-    workgroupBarrier();
-    atomicMax(&tile_last, last);
-    workgroupBarrier();
-    if lane == 0u {
-        tile_end = atomicLoad(&tile_last);
-    }
-    let end = workgroupUniformLoad(&tile_end);
-    for (var start = ranges[slot].x; start < end; start += BATCH) {
-        let count = min(BATCH, end - start);
+    let range = ranges[slot];
+    for (var start = range.x; start < range.y; start += BATCH) {
+        let count = min(BATCH, range.y - start);
         if lane < count {
             let pair = pairs[start + lane];
             let owner = owners[pair];

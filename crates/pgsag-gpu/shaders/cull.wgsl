@@ -34,6 +34,7 @@ fn main(
     let i = (group.y * groups.x + group.x) * 256u + lane;
     if i == 0u {
         sizes[0] = frame.count;
+        sizes[6] = frame.tiles;
     }
     for (var tile = i; tile < frame.tiles; tile += groups.x * groups.y * 256u) {
         ranges[tile] = vec2(0u);

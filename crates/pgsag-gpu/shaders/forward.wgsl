@@ -7,7 +7,8 @@ override LOAD: u32 = 1u;
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
 @group(0) @binding(2) var<storage, read> pixels: array<u32>;
-@group(0) @binding(3) var<storage, read> ranges: array<vec2<u32>>;
+// Lists of the tiles; their ends become those of what covers a pixel.
+@group(0) @binding(3) var<storage, read_write> ranges: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read> pairs: array<u32>;
 @group(0) @binding(5) var<storage, read> owners: array<u32>;
 @group(0) @binding(6) var<storage, read> records: array<vec4<f32>>;
@@ -24,6 +25,8 @@ const GRAZING: f32 = 1e-6;
 var<workgroup> batch: array<vec4<f32>, 1024>;
 var<workgroup> batch_hits: array<atomic<u32>, 256>;
 var<workgroup> alive: u32;
+var<workgroup> tile_last: atomic<u32>;
+var<workgroup> tile_range: vec2<u32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -53,7 +56,11 @@ fn main(
     var plane = vec4(0.0);
     var load = 0.0;
     var last = 0u;
-    let range = ranges[slot];
+    if lane == 0u {
+        tile_range = ranges[slot];
+        atomicStore(&tile_last, tile_range.x);
+    }
+    let range = workgroupUniformLoad(&tile_range);
     for (var start = range.x; start < range.y; start += BATCH) {
         if lane == 0u {
             alive = 0u;
@@ -70,11 +77,11 @@ fn main(
         var pair = 0u;
         if lane < count {
             pair = pairs[start + lane];
-            let from = 4u * owners[pair];
-            batch[4u * lane] = records[from];
-            batch[4u * lane + 1u] = records[from + 1u];
-            batch[4u * lane + 2u] = records[from + 2u];
-            batch[4u * lane + 3u] = records[from + 3u];
+            let at_record = 4u * owners[pair];
+            batch[4u * lane] = records[at_record];
+            batch[4u * lane + 1u] = records[at_record + 1u];
+            batch[4u * lane + 2u] = records[at_record + 2u];
+            batch[4u * lane + 3u] = records[at_record + 3u];
         }
         atomicStore(&batch_hits[lane], 0u);
         workgroupBarrier();
@@ -112,6 +119,12 @@ fn main(
         if lane < count {
             hits[pair] = atomicLoad(&batch_hits[lane]);
         }
+    }
+    workgroupBarrier();
+    atomicMax(&tile_last, last);
+    workgroupBarrier();
+    if lane == 0u {
+        ranges[slot].y = atomicLoad(&tile_last);
     }
     if !inside {
         return;

@@ -43,8 +43,8 @@ const TILE: u32 = 16u;
 const LOG2_E: f32 = 1.44269504088896340736;
 const LN_2: f32 = 0.69314718055994530942;
 
-// Whether a pixel of this class is drawn.
+// Whether a pixel of this kind is drawn.
 fn is_drawn(drawn: u32, packed: u32) -> bool {
-    let class = (packed >> 24u) & 3u;
-    return drawn == 0u || (drawn == 1u && class >= 2u) || (drawn == 2u && class != 1u);
+    let kind = (packed >> 24u) & 3u;
+    return drawn == 0u || (drawn == 1u && kind >= 2u) || (drawn == 2u && kind != 1u);
 }

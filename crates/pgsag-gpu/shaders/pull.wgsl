@@ -4,6 +4,8 @@ override COLOR: u32 = 1u;
 override PLANES: u32 = 1u;
 override LOAD: u32 = 1u;
 override STATISTICS: u32 = 1u;
+// 1: the sums of a Gaussian's pairs are added up first.
+override ROWS: u32 = 0u;
 
 struct Pull {
     // Weight of the flattening term over the scene scale; 0 for a neighbour's render.
@@ -26,6 +28,27 @@ struct Pull {
 @group(0) @binding(9) var<storage, read> records: array<vec4<f32>>;
 @group(0) @binding(10) var<storage, read_write> sums: array<f32>;
 @group(0) @binding(11) var<storage, read_write> statistics: array<u32>;
+@group(0) @binding(12) var<storage, read> pair_counts: array<u32>;
+@group(0) @binding(13) var<storage, read> first_pairs: array<u32>;
+@group(0) @binding(14) var<storage, read> hits: array<u32>;
+@group(0) @binding(15) var<storage, read> pair_sums: array<f32>;
+
+// In the order of the pairs, so that the sums are the same in every run.
+fn add_pairs(slot: u32) {
+    var own: array<f32, 18>;
+    let first = first_pairs[slot];
+    let end = min(first + pair_counts[slot], frame.pairs);
+    for (var pair = first; pair < end; pair++) {
+        if hits[pair] != 0u {
+            for (var k = 0u; k < SUMS; k++) {
+                own[k] += pair_sums[SUMS * pair + k];
+            }
+        }
+    }
+    for (var k = 0u; k < SUMS; k++) {
+        sums[SUMS * slot + k] = own[k];
+    }
+}
 
 fn add_statistic(plane: u32, i: u32, value: f32) {
     let at = plane * frame.count + i;
@@ -87,7 +110,7 @@ fn jacobian_grad(point: vec3<f32>, tangent: vec2<f32>, d_x: vec3<f32>, d_y: vec3
     let slope = frame.focal * inverse;
     let own = vec2(dot(frame.row_x.xyz, d_x), dot(frame.row_y.xyz, d_y));
     let deep = vec2(dot(frame.row_z.xyz, d_x), dot(frame.row_z.xyz, d_y));
-    let moves = ratio >= frame.tangent_low & ratio <= frame.tangent_high;
+    let moves = (ratio >= frame.tangent_low) & (ratio <= frame.tangent_high);
     let d_ratio = select(vec2(0.0), -slope * deep, moves);
     let d_depth = slope * (own - tangent * deep) + d_ratio * ratio;
     return inverse * vec3(d_ratio, -d_depth.x - d_depth.y);
@@ -189,6 +212,9 @@ fn main(
     let i = gaussians[slot];
     if shown[i] == 0u {
         return;
+    }
+    if ROWS != 0u {
+        add_pairs(slot);
     }
     if STATISTICS != 0u {
         gather(i, SUMS * slot, records[4u * slot + 1u]);

@@ -15,8 +15,8 @@ struct Reshape {
 @group(0) @binding(1) var<storage, read> parents: array<u32>;
 // Six numbers per birth: offset, shift of the log scales, whether there is a logit, the logit.
 @group(0) @binding(2) var<storage, read> births: array<f32>;
-@group(0) @binding(3) var<storage, read> from: array<f32>;
-@group(0) @binding(4) var<storage, read_write> into: array<f32>;
+@group(0) @binding(3) var<storage, read> old: array<f32>;
+@group(0) @binding(4) var<storage, read_write> fresh: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -30,7 +30,7 @@ fn main(
     }
     let plane = at / plan.after;
     let i = at % plan.after;
-    var value = from[plane * plan.before + parents[i]];
+    var value = old[plane * plan.before + parents[i]];
     let is_opacity = plan.band == 0u && plane == 10u;
     if i >= plan.kept {
         let birth = 6u * (i - plan.kept);
@@ -47,5 +47,5 @@ fn main(
     if is_opacity && plan.has_ceiling != 0u {
         value = select(min(value, plan.ceiling), 0.0, plan.moments != 0u);
     }
-    into[at] = value;
+    fresh[at] = value;
 }

@@ -14,12 +14,12 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         sum += own[k];
     }
     let scanned = group_scan(sum, at);
-    if block * GROUP * EACH >= sizes[MODE] {
+    if block * GROUP * EACH >= value_count() {
         return;
     }
     var before = sums[block] + scanned.x;
     for (var k = 0u; k < EACH; k++) {
-        if first + k < sizes[MODE] {
+        if first + k < value_count() {
             prefixes[first + k] = before;
         }
         before += own[k];

@@ -20,7 +20,7 @@ fn set_launch(at: u32, groups: u32) {
 @compute @workgroup_size(GROUP)
 fn main(at: Lanes) {
     let block = GROUP * EACH;
-    let blocks = (sizes[MODE] + block - 1u) / block;
+    let blocks = (sizes[select(MODE, 6u, MODE == 2u)] + block - 1u) / block;
     var total = 0u;
     for (var first = 0u; first < blocks; first += GROUP) {
         let i = first + at.lane;
@@ -34,7 +34,11 @@ fn main(at: Lanes) {
         }
         total += scanned.y;
     }
-    if at.lane == 0u {
+    if at.lane == 0u && MODE == 2u {
+        sizes[7] = total;
+        // A workgroup each.
+        set_launch(12u, total);
+    } else if at.lane == 0u {
         var kept = total;
         if MODE == 1u {
             kept = min(total, frame.pairs);

@@ -15,7 +15,7 @@ const SUMS: u32 = 18u;
 @group(0) @binding(8) var<storage, read_write> statistics: array<u32>;
 @group(0) @binding(9) var<storage, read_write> sums: array<f32>;
 // Per workgroup: smallest standard deviations of those shown, and their number.
-@group(0) @binding(10) var<storage, read_write> partial: array<vec2<f32>>;
+@group(0) @binding(10) var<storage, read_write> block_sums: array<vec2<f32>>;
 
 var<workgroup> parts: array<vec2<f32>, 64>;
 
@@ -66,6 +66,6 @@ fn main(
         for (var k = 0u; k < subgroups; k++) {
             total += parts[k];
         }
-        partial[block] = total;
+        block_sums[block] = total;
     }
 }

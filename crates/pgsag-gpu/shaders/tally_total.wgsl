@@ -1,7 +1,7 @@
 // Adds up what `tally` found, by one workgroup, in a fixed order.
 
 @group(0) @binding(0) var<storage, read_write> sizes: array<u32>;
-@group(0) @binding(1) var<storage, read> partial: array<vec2<f32>>;
+@group(0) @binding(1) var<storage, read> block_sums: array<vec2<f32>>;
 
 var<workgroup> parts: array<vec2<f32>, 256>;
 
@@ -10,7 +10,7 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     let blocks = (sizes[1] + 255u) / 256u;
     var sum = vec2(0.0);
     for (var i = lane; i < blocks; i += 256u) {
-        sum += partial[i];
+        sum += block_sums[i];
     }
     parts[lane] = sum;
     workgroupBarrier();

@@ -31,13 +31,13 @@ fn ellipse_of(center: vec2<f32>, exponent: vec3<f32>, peak: f32) -> Ellipse {
     e.form = -exponent;
     e.level = peak - frame.alpha_cut + CULL_MARGIN;
     e.determinant = 4.0 * e.form.x * e.form.z - e.form.y * e.form.y;
-    e.first = vec2(0);
-    e.last = vec2(-1);
+    e.first = vec2<i32>(0);
+    e.last = vec2<i32>(-1);
     if e.level > 0.0 && e.determinant > 0.0 {
         e.half = sqrt(4.0 * e.form.zx * e.level / e.determinant);
         let span = tile_span(center, e.half, vec2(f32(frame.columns) - 1.0, f32(frame.rows) - 1.0));
         e.first = span.xy;
-        e.last = select(span.zw, vec2(-1), any(span.zw < span.xy));
+        e.last = select(span.zw, vec2<i32>(-1), any(span.zw < span.xy));
     }
     return e;
 }

@@ -1,66 +1,32 @@
-//! The way back: from gradients of maps to sums per Gaussian, to gradients of parameters, to one Adam step.
+//! One Adam step of everything; gradients of harmonics are made on the way and never stored.
 
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
 use pgsag_splat::SplatCloud;
-use pgsag_splat::backend::{BackendError, Rates, Result, Sample};
+use pgsag_splat::backend::{Rates, Result};
 use pgsag_splat::equations::adam::corrections;
 use pgsag_splat::equations::projection::Lens;
 
 use crate::cloud::{Bands, GpuCloud, empty};
-use crate::gpu::Gpu;
 use crate::memory::Buffer;
-use crate::record::{Constant, Groups, Kernel};
-use crate::render::{Frame, GpuRender, Scene, leaves_color_out};
-use crate::sort::Counted;
+use crate::record::{Groups, Kernel};
+use crate::render::{Frame, Scene, leaves_color_out};
 
-const FRAME: &str = include_str!("../shaders/frame.wgsl");
 const SUMS: &str = include_str!("../shaders/sums.wgsl");
 const HARMONICS: &str = include_str!("../shaders/harmonics.wgsl");
 
-const BACKWARD_PIXELS: Kernel = Kernel {
-    name: "backward by pixels",
-    parts: &[
-        FRAME,
-        include_str!("../shaders/record.wgsl"),
-        SUMS,
-        include_str!("../shaders/unblend.wgsl"),
-        include_str!("../shaders/backward_pixels.wgsl"),
-    ],
-    adds: &["sums"],
-};
-const PULL: Kernel = Kernel {
-    name: "pull",
-    parts: &[
-        FRAME,
-        include_str!("../shaders/gaussian.wgsl"),
-        HARMONICS,
-        include_str!("../shaders/color.wgsl"),
-        SUMS,
-        include_str!("../shaders/pull.wgsl"),
-    ],
-    adds: &[],
-};
 const ADAM: Kernel =
     Kernel { name: "adam", parts: &[HARMONICS, SUMS, include_str!("../shaders/adam.wgsl")], adds: &[] };
 
 /// Kernels of this room.
-pub(crate) const KERNELS: &[&Kernel] = &[&BACKWARD_PIXELS, &PULL, &ADAM];
+#[cfg(test)]
+pub(crate) const KERNELS: &[&Kernel] = &[&ADAM];
 
 /// Gradients that wait for Adam: of the reference's render, and of the neighbour's where it has any.
 #[derive(Default)]
 pub(crate) struct Pending {
-    renders: Vec<(Arc<Frame>, Scene)>,
-}
-
-/// `Pull` in `pull.wgsl`.
-#[repr(C)]
-#[derive(Clone, Copy, bytemuck::Pod, Zeroable)]
-struct PullUniform {
-    d_flatness: f32,
-    mean_pixels: f32,
-    padding: [u32; 2],
+    pub(crate) renders: Vec<(Arc<Frame>, Scene)>,
 }
 
 /// `Step` in `adam.wgsl`.
@@ -76,72 +42,6 @@ struct StepUniform {
     eyes: [[f32; 4]; 2],
     rates: [f32; 4],
     color_rates: [f32; 4],
-}
-
-/// Gradients of the sample's renders, left for Adam.
-pub(crate) fn backward(gpu: &Gpu, cloud: &mut GpuCloud, sample: &Sample<'_, Gpu>) -> Result<()> {
-    let neighbor = sample.neighbor.as_ref().map(|(view, render)| (*view, &**render));
-    let renders: Vec<_> = std::iter::once((sample.view, &*sample.render)).chain(neighbor).collect();
-    if renders.iter().any(|(_, render)| !render.scene.options.gradient) {
-        return Err(BackendError::Device("a render without `gradient` cannot go backward".into()));
-    }
-    cloud.pending = Pending::default();
-    for (at, (view, render)) in renders.into_iter().enumerate() {
-        // The neighbour counts where some term gave it a gradient.
-        if at > 0 && !render.touched {
-            continue;
-        }
-        let mean_pixels = view.losses.mean_count(sample.weights.mean_over_mask) as f32;
-        let d_flatness = if at == 0 { render.d_flatness } else { 0.0 };
-        back(gpu, cloud, render, &PullUniform { d_flatness, mean_pixels, padding: [0; 2] })?;
-        cloud.pending.renders.push((Arc::clone(&render.frame), render.scene.clone()));
-    }
-    Ok(())
-}
-
-fn back(gpu: &Gpu, cloud: &GpuCloud, render: &GpuRender, pull: &PullUniform) -> Result<()> {
-    let GpuRender { scene, frame, .. } = render;
-    let options = &scene.options;
-    let [color, planes] = scene.channels();
-    let constants: [Constant; 4] =
-        [color, planes, ("LOAD", u32::from(options.load)), ("STATISTICS", u32::from(options.statistics))];
-    let mut record = gpu.device.record("back");
-    let blended = [
-        &frame.uniform,
-        &scene.tiles.list,
-        &frame.ranges,
-        &frame.pairs,
-        &frame.owners,
-        &frame.records,
-        &frame.maps,
-        &frame.grads,
-        &frame.lasts,
-        &frame.hits,
-        &frame.sums,
-    ];
-    if render.touched {
-        record.run_with(&BACKWARD_PIXELS, &constants, &blended, Groups::Count(u64::from(scene.tiles.count)));
-    }
-    let uniform = gpu.device.uniform(pull)?;
-    let sizes = &frame.counters.sizes;
-    let [base, sh_1, sh_2, sh_3] = &*cloud.values;
-    let pulled = [
-        &frame.uniform,
-        &uniform,
-        sizes,
-        base,
-        sh_1,
-        sh_2,
-        sh_3,
-        &frame.gaussians,
-        &frame.shown,
-        &frame.records,
-        &frame.sums,
-        &cloud.statistics,
-    ];
-    record.run_with(&PULL, &constants, &pulled, frame.counters.threads(Counted::Drawn));
-    record.submit();
-    Ok(())
 }
 
 impl Pending {

@@ -294,4 +294,5 @@ fn statistics_planes(statistics: &DensityStatistics, count: usize) -> Vec<u32> {
 const RESHAPE: Kernel = Kernel { name: "reshape", parts: &[include_str!("../shaders/reshape.wgsl")], adds: &[] };
 
 /// Kernels of this room.
+#[cfg(test)]
 pub(crate) const KERNELS: &[&Kernel] = &[&RESHAPE];

@@ -9,6 +9,7 @@ use pgsag_splat::backend::{BackendError, Result};
 use wgpu::{Backends, DeviceType, Features};
 
 use crate::memory::Ledger;
+use crate::profile::Profile;
 use crate::record::Kernels;
 
 /// A graphics card, or a program that plays one.
@@ -144,6 +145,8 @@ pub(crate) struct Device {
     pub(crate) float_atomics: bool,
     /// Buffers that are lent again and again.
     pub(crate) pool: Mutex<Vec<Arc<crate::memory::Buffer>>>,
+    /// Launches are timed while it is there.
+    pub(crate) profile: Mutex<Option<Profile>>,
     /// The first error that came outside of any call.
     fault: Arc<Mutex<Option<String>>>,
 }
@@ -176,6 +179,7 @@ impl Device {
             ledger: Arc::new(Ledger::new(adapter.name.clone(), largest, memory_limit)),
             kernels: Kernels::default(),
             pool: Mutex::default(),
+            profile: Mutex::default(),
             wgpu,
             queue,
             adapter,

@@ -9,10 +9,12 @@ use pgsag_splat::backend::{
 };
 
 use crate::adam;
+use crate::backward::{self, Backward, Race};
 use crate::cloud::GpuCloud;
 use crate::device::{Adapter, Device, DeviceChoice};
 use crate::losses;
 use crate::memory::Buffer;
+use crate::profile::KernelTime;
 use crate::render::{GpuRender, Room, Scene};
 use crate::view::{GpuView, Tiles};
 
@@ -23,6 +25,8 @@ pub struct GpuOptions {
     pub device: DeviceChoice,
     /// Where blending begins and ends.
     pub limits: Limits,
+    /// The way back.
+    pub backward: Backward,
     /// Most bytes to allocate on the card; `None`: as many as it has.
     pub memory_limit: Option<u64>,
 }
@@ -31,6 +35,8 @@ pub struct GpuOptions {
 pub struct Gpu {
     pub(crate) device: Arc<Device>,
     limits: Limits,
+    pub(crate) backward: Backward,
+    pub(crate) race: Race,
     room: Room,
     /// Tiles of the last raster that was drawn whole.
     whole: Mutex<Option<Arc<Tiles>>>,
@@ -51,20 +57,28 @@ impl Gpu {
     /// Where there is none as asked for; the message lists those that are there.
     pub fn new(options: &GpuOptions) -> Result<Self> {
         let device = Arc::new(Device::open(&options.device, options.memory_limit)?);
-        Self::on(device, options.limits)
+        Self::on(device, options.limits, options.backward)
     }
 
-    /// A second backend on the same card, with its own limits of blending.
+    /// A second backend on the same card, with its own limits of blending and way back.
     ///
     /// # Errors
     /// Where the card has no memory left.
-    pub fn with_limits(&self, limits: Limits) -> Result<Self> {
-        Self::on(Arc::clone(&self.device), limits)
+    pub fn with(&self, limits: Limits, backward: Backward) -> Result<Self> {
+        Self::on(Arc::clone(&self.device), limits, backward)
     }
 
-    fn on(device: Arc<Device>, limits: Limits) -> Result<Self> {
+    fn on(device: Arc<Device>, limits: Limits, backward: Backward) -> Result<Self> {
         let no_pixels = Arc::new(device.buffer("pixels", 0)?);
-        Ok(Self { device, limits, room: Room::default(), whole: Mutex::default(), no_pixels })
+        Ok(Self {
+            device,
+            limits,
+            backward,
+            race: Race::default(),
+            room: Room::default(),
+            whole: Mutex::default(),
+            no_pixels,
+        })
     }
 
     /// The card.
@@ -77,6 +91,31 @@ impl Gpu {
     #[must_use]
     pub fn memory(&self) -> (u64, u64) {
         self.device.ledger.used()
+    }
+
+    /// Times every launch until [`Gpu::end_profile`], up to two thousand. Launches are then far apart: their sum is less
+    /// than what a step takes.
+    ///
+    /// # Errors
+    /// Where the card has no timestamps.
+    pub fn begin_profile(&self) -> Result<()> {
+        self.device.begin_profile()
+    }
+
+    /// What each kernel has taken since [`Gpu::begin_profile`].
+    ///
+    /// # Errors
+    /// Where the card fails.
+    pub fn end_profile(&self) -> Result<Vec<KernelTime>> {
+        self.device.end_profile()
+    }
+
+    /// Waits until the card has done everything.
+    ///
+    /// # Errors
+    /// Where the card fails.
+    pub fn wait(&self) -> Result<()> {
+        self.device.wait()
     }
 
     /// Draws a render again whose pairs did not fit, with room for all.
@@ -170,7 +209,7 @@ impl Backend for Gpu {
     }
 
     fn backward(&self, cloud: &mut GpuCloud, sample: &Sample<'_, Self>) -> Result<()> {
-        adam::backward(self, cloud, sample)
+        backward::backward(self, cloud, sample)
     }
 
     fn gradients(&self, cloud: &GpuCloud) -> Result<SplatCloud> {

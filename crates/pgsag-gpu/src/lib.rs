@@ -8,19 +8,23 @@
 //! [`Backend`]: pgsag_splat::Backend
 
 mod adam;
+mod backward;
 mod cloud;
 mod device;
 mod gpu;
 mod losses;
 mod memory;
+mod profile;
 mod record;
 mod render;
 mod sort;
 mod view;
 
+pub use backward::Backward;
 pub use cloud::GpuCloud;
 pub use device::{Adapter, DeviceChoice, adapters};
 pub use gpu::{Gpu, GpuOptions};
+pub use profile::KernelTime;
 pub use render::GpuRender;
 pub use view::GpuView;
 

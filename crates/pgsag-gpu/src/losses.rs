@@ -18,6 +18,7 @@ use crate::memory::Buffer;
 use crate::record::{Groups, Recorder};
 use crate::render::Frame;
 use crate::view::GpuView;
+#[cfg(test)]
 pub(crate) use kernels::KERNELS;
 use params::{Plan, Region};
 

@@ -163,6 +163,13 @@ impl Device {
         pool.retain(|buffer| Arc::strong_count(buffer) > 1);
     }
 
+    /// Waits until the card has done everything.
+    pub(crate) fn wait(&self) -> Result<()> {
+        let failed = |error: wgpu::PollError| BackendError::Device(format!("{}: {error}", self.adapter.name));
+        self.wgpu.poll(wgpu::PollType::wait_indefinitely()).map_err(failed)?;
+        self.check()
+    }
+
     /// Reads values back; waits for the card.
     pub(crate) fn read<T: Pod>(&self, buffer: &wgpu::Buffer, first: u64, count: usize) -> Result<Vec<T>> {
         let mut parts = self.read_many(&[(buffer, first, (count * size_of::<T>()) as u64)])?;

@@ -3,6 +3,8 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use pgsag_splat::backend::Result;
+
 use crate::device::Device;
 use crate::memory::Buffer;
 
@@ -123,7 +125,13 @@ impl Device {
     /// Begins a submission.
     pub(crate) fn record(&self, label: &'static str) -> Recorder<'_> {
         let descriptor = wgpu::CommandEncoderDescriptor { label: Some(label) };
-        Recorder { device: self, encoder: self.wgpu.create_command_encoder(&descriptor), pass: None, launches: 0 }
+        Recorder {
+            device: self,
+            encoder: self.wgpu.create_command_encoder(&descriptor),
+            pass: None,
+            kept: Vec::new(),
+            launches: 0,
+        }
     }
 }
 
@@ -132,10 +140,19 @@ pub(crate) struct Recorder<'a> {
     device: &'a Device,
     encoder: wgpu::CommandEncoder,
     pass: Option<wgpu::ComputePass<'static>>,
+    /// Scratch of this submission: not lent to anyone else before it is submitted.
+    kept: Vec<Arc<Buffer>>,
     launches: u32,
 }
 
 impl Recorder<'_> {
+    /// A scratch buffer, lent until its `Arc` is dropped and this is submitted.
+    pub(crate) fn scratch(&mut self, what: &'static str, bytes: u64) -> Result<Arc<Buffer>> {
+        let buffer = self.device.scratch(what, bytes)?;
+        self.kept.push(Arc::clone(&buffer));
+        Ok(buffer)
+    }
+
     /// Launches a kernel on buffers in the order of its bindings.
     pub(crate) fn run(&mut self, kernel: &Kernel, buffers: &[&Buffer], groups: Groups<'_>) {
         self.run_with(kernel, &[], buffers, groups);
@@ -163,16 +180,30 @@ impl Recorder<'_> {
             layout: &pipeline.get_bind_group_layout(0),
             entries: &entries,
         });
+        let mut profile = self.device.profile.lock().unwrap_or_else(PoisonError::into_inner);
+        let timed = profile.as_mut().and_then(|profile| Some((profile.next(kernel.name)?, &profile.queries)));
+        if timed.is_some() {
+            self.pass = None;
+        }
+        let descriptor = wgpu::ComputePassDescriptor {
+            label: None,
+            timestamp_writes: timed.map(|(first, query_set)| wgpu::ComputePassTimestampWrites {
+                query_set,
+                beginning_of_pass_write_index: Some(first),
+                end_of_pass_write_index: Some(first + 1),
+            }),
+        };
         let encoder = &mut self.encoder;
-        let pass = self.pass.get_or_insert_with(|| {
-            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()).forget_lifetime()
-        });
+        let pass = self.pass.get_or_insert_with(|| encoder.begin_compute_pass(&descriptor).forget_lifetime());
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &bound, &[]);
         match groups {
             Groups::Count(count) if count <= ROW => pass.dispatch_workgroups(count as u32, 1, 1),
             Groups::Count(count) => pass.dispatch_workgroups(ROW as u32, count.div_ceil(ROW) as u32, 1),
             Groups::Indirect(buffer, offset) => pass.dispatch_workgroups_indirect(buffer, offset),
+        }
+        if timed.is_some() {
+            self.pass = None;
         }
         self.launches += 1;
     }
@@ -181,12 +212,6 @@ impl Recorder<'_> {
     pub(crate) fn clear(&mut self, buffer: &Buffer, bytes: u64) {
         self.pass = None;
         self.encoder.clear_buffer(buffer, 0, Some(bytes.next_multiple_of(4).min(buffer.size())));
-    }
-
-    /// Copies bytes.
-    pub(crate) fn copy(&mut self, from: &Buffer, first: u64, to: &Buffer, at: u64, bytes: u64) {
-        self.pass = None;
-        self.encoder.copy_buffer_to_buffer(from, first, to, at, bytes);
     }
 
     /// Hands everything to the card, and returns how many launches it was.

@@ -47,6 +47,7 @@ const TALLY_TOTAL: Kernel =
     Kernel { name: "tally total", parts: &[include_str!("../shaders/tally_total.wgsl")], adds: &[] };
 
 /// Kernels of this room.
+#[cfg(test)]
 pub(crate) const KERNELS: &[&Kernel] = &[&CULL, &SHADE, &EMIT, &RANGES, &FORWARD, &TALLY, &TALLY_TOTAL];
 
 /// `Frame` in `frame.wgsl`.
@@ -68,7 +69,7 @@ pub(crate) struct FrameUniform {
     count: u32,
     degree: u32,
     tiles: u32,
-    pairs: u32,
+    pub(crate) pairs: u32,
     drawn: u32,
     padding: [u32; 3],
 }
@@ -244,11 +245,11 @@ impl Scene {
         uniform: &Buffer,
     ) -> Result<Culled> {
         let count = self.count as u64;
-        let words = |what: &'static str, each: u64| device.scratch(what, 4 * each * count);
+        let mut words = |what: &'static str, each: u64| record.scratch(what, 4 * each * count);
         let (counts, shown) = (words("tile counts", 1)?, words("slots", 1)?);
         let (records, keys) = (words("records", 16)?, words("depths", 1)?);
         let (gaussians, pair_counts) = (words("slots", 1)?, words("tile counts", 1)?);
-        let ranges = device.scratch("lists", 8 * u64::from(self.tiles.count))?;
+        let ranges = record.scratch("lists", 8 * u64::from(self.tiles.count))?;
         let [base, sh_1, sh_2, sh_3] = &*self.values;
         let threads = Groups::Count(count.div_ceil(256).max(1));
         record.run(&CULL, &[uniform, base, &self.tiles.before, &counts, &shown, &ranges, &counters.sizes], threads);
@@ -271,9 +272,11 @@ impl Scene {
         pairs: u64,
     ) -> Result<Frame> {
         let Culled { order, starts, records, gaussians, pair_counts, shown, ranges } = culled;
-        let words = |what: &'static str, count: u64| device.scratch(what, 4 * count);
+        let mut words = |what: &'static str, count: u64| record.scratch(what, 4 * count);
         let (tile_keys, owners, hits) = (words("pairs", pairs)?, words("pairs", pairs)?, words("pairs", pairs)?);
         let first_pairs = words("slots", self.count as u64)?;
+        let pixels = self.pixel_count();
+        let lasts = words("maps", pixels)?;
         let sizes = &counters.sizes;
         let before = &self.tiles.before;
         let emitted = [
@@ -294,12 +297,10 @@ impl Scene {
         let bits = u32::BITS - self.tiles.count.leading_zeros();
         let [keys, in_lists] = sort::sort(device, record, &counters, (Counted::Pairs, pairs), &tile_keys, bits)?;
         record.run(&RANGES, &[&uniform, sizes, &keys, &ranges], counters.threads(Counted::Pairs));
-        let pixels = self.pixel_count();
         let gradient = self.options.gradient;
         let planes = 4 * PLANES as u64 * pixels;
-        let maps = device.scratch("maps", planes)?;
-        let grads = device.scratch("gradients of maps", if gradient { planes } else { 0 })?;
-        let lasts = words("maps", pixels)?;
+        let maps = record.scratch("maps", planes)?;
+        let grads = record.scratch("gradients of maps", if gradient { planes } else { 0 })?;
         if u64::from(self.tiles.count) * u64::from(TILE * TILE) < pixels.next_multiple_of(u64::from(TILE * TILE)) {
             record.clear(&maps, planes);
         }
@@ -311,8 +312,8 @@ impl Scene {
         let drawn =
             [&uniform, &self.tiles.list, &self.pixels, &ranges, &in_lists, &owners, &records, &maps, &lasts, &hits];
         record.run_with(&FORWARD, &[color, plane, load], &drawn, Groups::Count(u64::from(self.tiles.count)));
-        let sums = device.scratch("sums", if gradient { 4 * SUMS * self.count as u64 } else { 0 })?;
-        let partial = device.scratch("partial sums", 8 * (self.count as u64).div_ceil(256))?;
+        let sums = record.scratch("sums", if gradient { 4 * SUMS * self.count as u64 } else { 0 })?;
+        let partial = record.scratch("partial sums", 8 * (self.count as u64).div_ceil(256))?;
         let constants = [("OBSERVE", u32::from(self.options.observe)), ("GRADIENT", u32::from(gradient))];
         let tallied = [
             &uniform,

@@ -67,13 +67,16 @@ const SORT_SCATTER: Kernel = Kernel {
 };
 
 /// Kernels of this room.
+#[cfg(test)]
 pub(crate) const KERNELS: &[&Kernel] = &[&SCAN_SUMS, &SCAN_SPINE, &SCAN_APPLY, &SORT_COUNT, &SORT_SPINE, &SORT_SCATTER];
 
 /// What counts, on the card.
 pub(crate) struct Counters {
-    /// Numbers: Gaussians, Gaussians drawn, pairs, pairs wanted where there was no room (else 0), thickness, visible.
+    /// Numbers: Gaussians, Gaussians drawn, pairs, pairs wanted where there was no room (else 0), sum of thicknesses (f32),
+    /// visible Gaussians, tiles, chunks.
     pub(crate) sizes: Buffer,
-    /// Workgroups to visit all: drawn Gaussians by 256 threads and by blocks, then pairs likewise; three numbers each.
+    /// Workgroups to visit all: drawn Gaussians by 256 threads and by blocks, then pairs likewise; chunks, one each; three
+    /// numbers per launch.
     pub(crate) launches: Buffer,
 }
 
@@ -84,11 +87,13 @@ pub(crate) enum Counted {
     Drawn = 1,
     /// Pairs of Gaussian and tile.
     Pairs = 2,
+    /// Chunks of the lists, as many pairs as a subgroup has lanes.
+    Chunks = 3,
 }
 
 impl Counters {
     pub(crate) fn new(device: &Device) -> Result<Self> {
-        Ok(Self { sizes: device.buffer("counters", 32)?, launches: device.buffer("counters", 48)? })
+        Ok(Self { sizes: device.buffer("counters", 32)?, launches: device.buffer("counters", 60)? })
     }
 
     /// One thread each, 256 a workgroup.
@@ -96,12 +101,18 @@ impl Counters {
         Groups::Indirect(&self.launches, 24 * (counted as u64 - 1))
     }
 
+    /// One workgroup for each chunk.
+    pub(crate) fn chunks(&self) -> Groups<'_> {
+        Groups::Indirect(&self.launches, 48)
+    }
+
     fn blocks(&self, counted: Counted) -> Groups<'_> {
         Groups::Indirect(&self.launches, 24 * (counted as u64 - 1) + 12)
     }
 }
 
-/// Sums before each value: of flags "not 0" of `count` values (`Drawn`), or of values in an order (`Pairs`). Sets the total
+/// Sums before each value: of flags "not 0" of `count` values (`Drawn`), of values in an order (`Pairs`), or of the chunks
+/// of `count` lists (`Chunks`; the number of lists stands in the counters). Sets the total
 /// and its launches. Returns the prefix sums, `[count]`.
 pub(crate) fn scan(
     device: &Device,
@@ -113,11 +124,11 @@ pub(crate) fn scan(
 ) -> Result<Arc<Buffer>> {
     let mode = [("MODE", counted as u32 - 1)];
     let blocks = count.div_ceil(u64::from(device.group()) * EACH).max(1);
-    let sums = device.scratch("prefix sums", 4 * blocks)?;
-    let prefixes = device.scratch("prefix sums", 4 * count)?;
+    let sums = record.scratch("prefix sums", 4 * blocks)?;
+    let prefixes = record.scratch("prefix sums", 4 * count)?;
     // Of values that were counted by the card, only so many blocks as there are.
     let groups = match counted {
-        Counted::Drawn => Groups::Count(blocks),
+        Counted::Drawn | Counted::Chunks => Groups::Count(blocks),
         Counted::Pairs => counters.blocks(Counted::Drawn),
     };
     let sizes = &counters.sizes;
@@ -138,10 +149,10 @@ pub(crate) fn sort(
     bits: u32,
 ) -> Result<[Arc<Buffer>; 2]> {
     let blocks = room.div_ceil(u64::from(device.group()) * EACH).max(1);
-    let counts = device.scratch("digit counts", 4 * DIGITS * blocks)?;
-    let totals = device.scratch("digit counts", 4 * DIGITS)?;
-    let mut from = [Arc::clone(keys), device.scratch("sorted values", 4 * room)?];
-    let mut into = [device.scratch("sorted keys", 4 * room)?, device.scratch("sorted values", 4 * room)?];
+    let counts = record.scratch("digit counts", 4 * DIGITS * blocks)?;
+    let totals = record.scratch("digit counts", 4 * DIGITS)?;
+    let mut from = [Arc::clone(keys), record.scratch("sorted values", 4 * room)?];
+    let mut into = [record.scratch("sorted keys", 4 * room)?, record.scratch("sorted values", 4 * room)?];
     let sizes = &counters.sizes;
     for pass in 0..bits.div_ceil(DIGIT_BITS).max(1) {
         let constants = [("SHIFT", pass * DIGIT_BITS), ("COUNT", counted as u32), ("FIRST", u32::from(pass == 0))];

@@ -181,7 +181,7 @@ fn cpu(simd: &str, limits: Limits) -> Result<Cpu> {
 /// Graphics cards.
 #[cfg(feature = "gpu")]
 mod card {
-    use pgsag_gpu::{Adapter, DeviceChoice, Gpu, GpuOptions, adapters};
+    use pgsag_gpu::{Adapter, Backward, DeviceChoice, Gpu, GpuOptions, adapters};
 
     use super::{Card, Report, Result, Work, conformance};
 
@@ -207,7 +207,7 @@ mod card {
 
     pub(super) fn self_test(word: &str) -> Result<(String, Report)> {
         let gpu = open(word.trim_start_matches("gpu:"))?;
-        let report = conformance::try_check(|limits| gpu.with_limits(limits))?;
+        let report = conformance::try_check(|limits| gpu.with(limits, Backward::default()))?;
         Ok((card(gpu.adapter()).text, report))
     }
 

@@ -86,6 +86,7 @@ kernel!(
 );
 
 /// Kernels of this room.
+#[cfg(test)]
 pub(crate) const KERNELS: &[&Kernel] = &[
     &VIEW, &FULL, &SSIM, &COLOR, &NORMAL, &SLANT, &GEOMETRIC, &CARRY, &MARK, &RANK, &NCC, &PATCHES, &FREE, &LOAD,
     &LEVEL, &REDUCE, &TOTAL,
