@@ -10,8 +10,8 @@ mod merge;
 mod support;
 
 pub use filter::{FilterOptions, filter};
-pub use merge::{combine, merge_views};
-pub use support::{SupportOptions, supported};
+pub use merge::{Border, MEETING_VOXELS, combine, merge_views};
+pub use support::{Points, SupportOptions, supported};
 
 /// One posed depth map.
 #[derive(Clone, Debug)]

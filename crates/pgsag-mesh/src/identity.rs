@@ -1,9 +1,10 @@
 //! Which building a face belongs to where houses touch: pieces of plan view, parted where their roofs stand at different
 //! heights. Row houses and perimeter blocks have no gap (method 8.7).
 //!
-//! The highest surface in every cell of plan view is a relief. Neighbouring cells are of one roof where the relief goes
-//! on as its slope predicts; roofs grow from such cells, and small or enclosed ones (chimneys, dormers, lift houses) go to
-//! the roof that they share most border with.
+//! The highest surface in every cell of plan view is a relief. Neighbouring cells are of one roof where the slopes to
+//! both sides meet between them, as they do at ridges; roofs grow from such cells. The strips along steps go cell by cell
+//! to the roof of their height, and small or enclosed roofs (chimneys, dormers, lift houses) to the one that they share
+//! most border with.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -52,7 +53,10 @@ pub fn roof_pieces(
     let up = up.normalize_or(DVec3::Z);
     let (east, north) = up.any_orthonormal_pair();
     let key = |p: DVec3| [(p.dot(east) / rules.cell).floor() as i64, (p.dot(north) / rules.cell).floor() as i64];
-    let relief = Relief::of(mesh, &key, up, rules.cell, &is_building);
+    let mut relief = Relief::of(mesh, &key, up, rules.cell, &is_building);
+    if rules.step.is_finite() {
+        relief.tops = relief.smooth();
+    }
     let number = relief.pieces(rules);
     let piece = |face: usize| {
         let middle = mesh.triangle(face).iter().map(|corner| DVec3::from(*corner)).sum::<DVec3>() / 3.0;
@@ -157,19 +161,25 @@ impl Relief {
         self.index.get(&key).map(|cell| self.tops[*cell as usize])
     }
 
-    /// How far the relief departs from its own slope between a cell and the next along `step`; `None` where there is none.
-    fn break_at(&self, at: [i64; 2], step: [i64; 2]) -> Option<f64> {
-        let place = |k: i64| [at[0] + k * step[0], at[1] + k * step[1]];
-        let (here, there) = (self.top(at)?, self.top(place(1))?);
-        let before = self.top(place(-1)).map(|top| here - top);
-        let after = self.top(place(2)).map(|top| top - there);
-        let slope = match (before, after) {
-            (Some(a), Some(b)) => 0.5 * (a + b),
-            _ => 0.0,
+    /// The middle height of every cell and the eight around it: what is narrower than half of that goes, steps stay.
+    fn smooth(&self) -> Vec<f64> {
+        let mut around = Vec::with_capacity(9);
+        let middle = |at: &[i64; 2]| {
+            around.clear();
+            around.extend((0..9).filter_map(|k| self.top([at[0] + k / 3 - 1, at[1] + k % 3 - 1])));
+            around.sort_by(f64::total_cmp);
+            0.5 * (around[(around.len() - 1) / 2] + around[around.len() / 2])
         };
-        // Either reading may be right: at the rim of a roof the slope is that of the facade.
-        let rise = there - here;
-        Some((rise - slope).abs().min(rise.abs()))
+        self.keys.iter().map(middle).collect()
+    }
+
+    /// The step of the relief between a cell and the next along `step`; `None` where there is none. The volume rounds a
+    /// step over two cells, so the cells about it are left out where there are others beyond.
+    fn break_at(&self, at: [i64; 2], step: [i64; 2]) -> Option<f64> {
+        let top = |k: i64| self.top([at[0] + k * step[0], at[1] + k * step[1]]);
+        let (here, there) = (top(0)?, top(1)?);
+        let near = crease([top(-1), Some(here), Some(there), top(2)], 1.0);
+        crease([top(-2), top(-1), top(2), top(3)], 3.0).or(near)
     }
 
     fn pieces(&self, rules: &RoofRules) -> Vec<u32> {
@@ -196,6 +206,7 @@ impl Relief {
             }
         }
         if rules.step.is_finite() {
+            sets = self.without_strips(sets, rules);
             self.absorb(&mut sets, rules);
         }
         let mut number = vec![0; self.keys.len()];
@@ -210,6 +221,46 @@ impl Relief {
                 number[root]
             })
             .collect()
+    }
+
+    /// Roofs too small, or too narrow to hold a square of three cells, dissolve: ring by ring their cells go to the
+    /// neighbour of the most similar height. What touches no other roof stays.
+    fn without_strips(&self, mut sets: Sets, rules: &RoofRules) -> Sets {
+        const NONE: u32 = u32::MAX;
+        let own: Vec<u32> = (0..self.keys.len() as u32).map(|cell| sets.find(cell)).collect();
+        let mut cells = vec![0u32; own.len()];
+        let mut is_wide = vec![false; own.len()];
+        for (at, root) in self.keys.iter().zip(&own) {
+            cells[*root as usize] += 1;
+            let beside = |k: i64| self.index.get(&[at[0] + k / 3 - 1, at[1] + k % 3 - 1]);
+            is_wide[*root as usize] |= (0..9).all(|k| beside(k).is_some_and(|cell| own[*cell as usize] == *root));
+        }
+        let is_roof = |root: u32| {
+            is_wide[root as usize] && f64::from(cells[root as usize]) * rules.cell * rules.cell >= rules.min_area
+        };
+        let mut roof: Vec<u32> = own.iter().map(|root| if is_roof(*root) { *root } else { NONE }).collect();
+        let mut open: Vec<usize> = (0..roof.len()).filter(|cell| roof[*cell] == NONE).collect();
+        loop {
+            let like = |cell: usize| {
+                let at = self.keys[cell];
+                let beside = [[1, 0], [-1, 0], [0, 1], [0, -1]].map(|step| [at[0] + step[0], at[1] + step[1]]);
+                let known = beside.iter().filter_map(|key| self.index.get(key)).map(|other| *other as usize);
+                let off = |other: &usize| (self.tops[*other] - self.tops[cell]).abs();
+                known.filter(|other| roof[*other] != NONE).min_by(|a, b| off(a).total_cmp(&off(b)))
+            };
+            let taken: Vec<(usize, u32)> =
+                open.iter().filter_map(|cell| like(*cell).map(|other| (*cell, roof[other]))).collect();
+            if taken.is_empty() {
+                break;
+            }
+            taken.into_iter().for_each(|(cell, number)| roof[cell] = number);
+            open.retain(|cell| roof[*cell] == NONE);
+        }
+        let mut again = Sets::new(own.len());
+        for (cell, number) in roof.into_iter().enumerate() {
+            again.join(cell as u32, if number == NONE { own[cell] } else { number });
+        }
+        again
     }
 
     /// Small and enclosed roofs go to the one that they share most border with, the smallest first.
@@ -255,6 +306,19 @@ impl Relief {
             }
         }
     }
+}
+
+/// The step between two slopes, given by two heights to either side of a gap of so many cells: none where they meet in
+/// the gap, else the lesser of what is left at its two ends. With one slope alone both sides have it; `None` without the
+/// two heights about the gap.
+fn crease([far, here, there, beyond]: [Option<f64>; 4], gap: f64) -> Option<f64> {
+    let (here, there) = (here?, there?);
+    let (before, after) = (far.map(|far| here - far), beyond.map(|beyond| beyond - there));
+    let (before, after) = (before.or(after).unwrap_or(0.0), after.or(before).unwrap_or(0.0));
+    let (first, last) = (there - gap * after - here, there - (here + gap * before));
+    let left = if first * last <= 0.0 { 0.0 } else { first.abs().min(last.abs()) };
+    // At the rim of a roof the slope is that of the facade.
+    Some(left.min((there - here).abs()))
 }
 
 /// One sample per cell, the highest, in the order of the cells.
@@ -303,6 +367,27 @@ mod tests {
         let mesh = town(18, 9, height);
         assert_eq!(count(&mesh, 0.45), 3);
         assert_eq!(count(&mesh, f64::INFINITY), 1);
+    }
+
+    #[test]
+    fn a_step_that_the_volume_has_rounded_parts_and_a_steep_ridge_does_not() {
+        let step = |height: f64| {
+            move |x: f64, _: f64| {
+                Some(match x {
+                    x if x < 8.0 => 6.0,
+                    x if x < 9.0 => 6.0 + (x - 8.0) * height,
+                    _ => 6.0 + height,
+                })
+            }
+        };
+        for height in [0.3, 1.0, 2.5] {
+            assert_eq!(count(&town(18, 8, step(height)), 0.2), 2, "a step of {height}");
+        }
+        assert_eq!(count(&town(18, 8, step(0.1)), 0.2), 1);
+        // Ridges on a cell's middle and on its border.
+        for ridge in [4.0, 4.25, 4.4] {
+            assert_eq!(count(&town(12, 9, |_, y| Some(9.0 - (y - ridge).abs())), 0.2), 1, "ridge at {ridge}");
+        }
     }
 
     #[test]

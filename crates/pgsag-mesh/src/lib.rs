@@ -1,7 +1,7 @@
 //! Depth maps to surface to score: the paper's sections 4.4 and 5.
 //!
 //! `fuse` checks depth maps against one another, `tsdf` averages them into a sparse volume, `marching` takes the
-//! surface out of it, `merge` and `components` make one tidy mesh of the cubes, `score` judges it, `render` draws it.
+//! surface out of it, `merge`, `components` and `settle` make one tidy mesh of the cubes, `score` judges it, `render` draws it.
 //! Everything is in scene units; nothing here knows metres, paths or a run.
 
 pub mod components;
@@ -14,6 +14,7 @@ pub mod merge;
 pub mod render;
 pub mod score;
 pub mod seams;
+pub mod settle;
 pub mod tsdf;
 
 pub use error::MeshError;

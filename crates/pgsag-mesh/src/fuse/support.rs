@@ -3,6 +3,7 @@
 //! agreement alone does not remove them. Plain roofs and walls have no points either, but points all around.
 
 use glam::DVec3;
+use pgsag_scene::numbers::median;
 use pgsag_scene::{Map, Pinhole, RigidTransform};
 use serde::{Deserialize, Serialize};
 
@@ -25,13 +26,61 @@ impl Default for SupportOptions {
     }
 }
 
+/// Side of a chunk of [`Points`], in mean distances between points of a surface.
+const CHUNK_SPACINGS: f64 = 32.0;
+
+/// Points of a surface in chunks with bounding balls, so that a view looks at what lies before it alone.
+pub struct Points {
+    positions: Vec<DVec3>,
+    /// First member, one past the last, centre and radius of the ball.
+    chunks: Vec<(usize, usize, DVec3, f64)>,
+}
+
+impl Points {
+    /// Of points in any order, world frame; strays far away cost nothing.
+    #[must_use]
+    pub fn new(mut positions: Vec<DVec3>) -> Self {
+        let middle = |axis: usize| median(&mut positions.iter().map(|at| at[axis]).collect::<Vec<_>>()).unwrap_or(0.0);
+        let middle = DVec3::new(middle(0), middle(1), middle(2));
+        let off = median(&mut positions.iter().map(|at| at.distance(middle)).collect::<Vec<_>>()).unwrap_or(0.0);
+        // Half of them lie on a disc of this radius.
+        let side = (CHUNK_SPACINGS * off * (2.0 / positions.len().max(1) as f64).sqrt()).max(f64::MIN_POSITIVE);
+        let key = |at: &DVec3| (*at / side).floor().as_i64vec3().to_array();
+        positions.sort_by_cached_key(key);
+        let mut chunks = Vec::new();
+        let mut first = 0;
+        for members in positions.chunk_by(|a, b| key(a) == key(b)) {
+            let center = members.iter().sum::<DVec3>() / members.len() as f64;
+            let radius = members.iter().map(|at| at.distance(center)).fold(0.0, f64::max);
+            chunks.push((first, first + members.len(), center, radius));
+            first += members.len();
+        }
+        Self { positions, chunks }
+    }
+
+    /// Those that may lie in a view.
+    fn before<'a>(&'a self, camera: &Pinhole, pose: &RigidTransform) -> impl Iterator<Item = DVec3> + use<'a> {
+        let (camera, pose) = (*camera, *pose);
+        let near = self.chunks.iter().filter(move |(.., center, radius)| {
+            let at = pose.transform_point(*center);
+            let is_inside = |a: f64, f: f64, c: f64| a * f + at.z * c >= -radius * (f * f + c * c).sqrt();
+            at.z + radius > 0.0
+                && is_inside(at.x, camera.fx, camera.cx)
+                && is_inside(-at.x, camera.fx, f64::from(camera.width) - camera.cx)
+                && is_inside(at.y, camera.fy, camera.cy)
+                && is_inside(-at.y, camera.fy, f64::from(camera.height) - camera.cy)
+        });
+        near.flat_map(|(first, last, ..)| self.positions[*first..*last].iter().copied())
+    }
+}
+
 /// Which pixels of a whole view are not open: supported by points, or enclosed by pixels that are. Points behind a
 /// surface support it as well; what is asked is whether anything is there at all.
 #[must_use]
 pub fn supported(
     camera: &Pinhole,
     camera_from_world: &RigidTransform,
-    points_world: impl Iterator<Item = DVec3>,
+    points_world: &Points,
     options: &SupportOptions,
 ) -> Map<bool> {
     let (width, height) = (camera.width as usize, camera.height as usize);
@@ -39,7 +88,7 @@ pub fn supported(
         return Map::filled(camera.width, camera.height, true);
     }
     let mut occupied = vec![false; width * height];
-    for point in points_world {
+    for point in points_world.before(camera, camera_from_world) {
         let Some(at) = camera.project(camera_from_world.transform_point(point)) else { continue };
         if camera.contains(at) {
             occupied[at.y as usize * width + at.x as usize] = true;
@@ -109,7 +158,7 @@ mod tests {
     fn seen(is_point: impl Fn(u32, u32) -> bool) -> Map<bool> {
         let pixels = (0..40).flat_map(|y| (0..60).map(move |x| (x, y))).filter(|(x, y)| is_point(*x, *y));
         let points = pixels.map(|(x, y)| CAMERA.ray(f64::from(x) + 0.5, f64::from(y) + 0.5) * 7.0);
-        supported(&CAMERA, &RigidTransform::IDENTITY, points, &OPTIONS)
+        supported(&CAMERA, &RigidTransform::IDENTITY, &Points::new(points.collect()), &OPTIONS)
     }
 
     #[test]
@@ -120,6 +169,17 @@ mod tests {
         assert!(found.at(30, 26), "a plain wall among textured ones");
         assert!(found.at(5, 30) && found.at(30, 14), "points, and what is beside them");
         assert!(!found.at(30, 12), "what bridges gaps does not stick out");
+    }
+
+    #[test]
+    fn what_may_lie_in_a_view_holds_all_that_does() {
+        let grid = (-60..60).flat_map(|x| (-60..60).map(move |y| DVec3::new(f64::from(x), f64::from(y), 40.0)));
+        let points = Points::new(grid.chain([DVec3::new(0.0, 0.0, -5.0), DVec3::new(9e5, 0.0, 1.0)]).collect());
+        let found: Vec<DVec3> = points.before(&CAMERA, &RigidTransform::IDENTITY).collect();
+        let is_seen = |at: &&DVec3| CAMERA.project(**at).is_some_and(|px| CAMERA.contains(px));
+        let seen = points.positions.iter().filter(is_seen).count();
+        assert_eq!(found.iter().filter(|at| is_seen(at)).count(), seen);
+        assert!(seen > 1000 && found.len() < points.positions.len() / 2, "{} of {seen}", found.len());
     }
 
     #[test]
@@ -146,9 +206,9 @@ mod tests {
             assert_eq!(*sum as usize, (0..35).filter(|other| set[*other] && inside(*other)).count());
         }
         let off = SupportOptions { reach_spacings: 0.0, ..OPTIONS };
-        let all = supported(&CAMERA, &RigidTransform::IDENTITY, std::iter::empty(), &off);
+        let all = supported(&CAMERA, &RigidTransform::IDENTITY, &Points::new(Vec::new()), &off);
         assert!(all.values.iter().all(|kept| *kept));
-        let none = supported(&CAMERA, &RigidTransform::IDENTITY, std::iter::empty(), &OPTIONS);
+        let none = supported(&CAMERA, &RigidTransform::IDENTITY, &Points::new(Vec::new()), &OPTIONS);
         assert!(none.values.iter().all(|kept| !kept));
     }
 }

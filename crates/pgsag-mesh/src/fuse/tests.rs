@@ -120,11 +120,33 @@ fn buildings_win_inside_their_masks_alone() {
     let whole = merge_views(&building, None, &background, 0.1).unwrap();
     assert_eq!(whole.depth.values, [10.05, 10.0, 10.0, 10.0]);
     let mut mask = Mask::filled(4, 1, PixelClass::Boundary);
-    let edge = merge_views(&building, Some(&mask), &background, 0.1).unwrap();
+    let merged = |mask: &Mask| {
+        let border = Border { classes: mask, overlap_px: 4.0 };
+        merge_views(&building, Some(&border), &background, 0.1).unwrap().depth.values
+    };
     // Nearer, but with less support than the farther: the farther; then nearer with more support.
-    assert_eq!(edge.depth.values, [10.05, 12.0, 9.0, 10.0]);
+    assert_eq!(merged(&mask), [10.0, 12.0, 9.0, 10.0]);
     mask.classes.fill(PixelClass::Free);
-    assert_eq!(merge_views(&building, Some(&mask), &background, 0.1).unwrap().depth.values, background.depth.values);
+    assert_eq!(merged(&mask), background.depth.values);
+}
+
+#[test]
+fn at_the_foot_of_a_facade_one_surface_goes_over_into_the_other() {
+    let mut mask = Mask::filled(8, 1, PixelClass::Inside);
+    (0..2).for_each(|x| mask.classes[x] = PixelClass::Free);
+    let map = |z: f32| {
+        let mut map = DepthMap::empty(8, 1);
+        map.depth.values.fill(z);
+        map.weight.values.fill(1.0);
+        map
+    };
+    let border = Border { classes: &mask, overlap_px: 4.0 };
+    let found = merge_views(&map(10.0), Some(&border), &map(10.5), 0.1).unwrap().depth.values;
+    assert_eq!((found[0], found[1]), (10.5, 10.5));
+    assert!(found.windows(2).all(|pair| pair[0] >= pair[1]) && found[2] > 10.44, "{found:?}");
+    assert!((found[4] - 10.25).abs() < 1e-5 && found[7] == 10.0, "{found:?}");
+    // An eave over the ground is a step, and stays one.
+    assert_eq!(merge_views(&map(10.0), Some(&border), &map(11.0), 0.1).unwrap().depth.values[2], 10.0);
 }
 
 #[test]

@@ -3,10 +3,9 @@
 use std::path::Path;
 
 use anyhow::Result;
-use glam::DVec3;
 use pgsag_group::{Group, GroupView};
 use pgsag_mesh::DepthView;
-use pgsag_mesh::fuse::{filter, supported};
+use pgsag_mesh::fuse::{Points, filter, supported};
 use pgsag_scene::{Map, Scene};
 use pgsag_splat::backend::{Backend, OptimizerState};
 use pgsag_splat::train::{neighbors_of, render_depth, valid_depth};
@@ -96,7 +95,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let photographs = Photographs::new(&imported, &config, job, 0);
     let views = GroupViews::new(&group, &imported.scene.views, &photographs, job);
     let coarse: Coarse = job.read("coarse")?;
-    let points_world = coarse.points.iter().map(|point| point.position_world).collect();
+    let points_world = Points::new(coarse.points.iter().map(|point| point.position_world).collect());
     drop(coarse);
     let support = Support { config: &config, scene: &imported.scene, points_world };
     let work = Render { job, config: &config, views, trained, support };
@@ -117,7 +116,7 @@ struct Render<'a, 'j> {
 struct Support<'a> {
     config: &'a Config,
     scene: &'a Scene,
-    points_world: Vec<DVec3>,
+    points_world: Points,
 }
 
 impl Support<'_> {
@@ -125,8 +124,7 @@ impl Support<'_> {
     fn apply(&self, view: &GroupView, depth: &mut Map<f32>) {
         let of_view = &self.scene.views[view.view_index as usize];
         let camera = training_camera(&of_view.camera, self.config.image_width);
-        let points_world = self.points_world.iter().copied();
-        let kept = supported(&camera, &of_view.camera_from_world, points_world, &self.config.support);
+        let kept = supported(&camera, &of_view.camera_from_world, &self.points_world, &self.config.support);
         let [x0, y0, width, height] = view.window_px;
         for y in 0..height {
             for x in 0..width {

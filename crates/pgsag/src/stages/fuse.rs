@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use pgsag_group::{Group, GroupKind};
-use pgsag_mesh::fuse::{DepthMap, combine, merge_views};
+use pgsag_mesh::fuse::{Border, DepthMap, MEETING_VOXELS, combine, merge_views};
 use pgsag_scene::files::raster::{decode_instances, encode_instances_png};
 use pgsag_scene::{Map, Pinhole, View};
 use rayon::prelude::*;
@@ -102,7 +102,8 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
             job.check()?;
             let view = &imported.scene.views[view_index];
             let camera = training_camera(&view.camera, config.image_width);
-            let Some(canvas) = fuse_view(job, &groups, view_index, &camera, extent.gsd)? else { return Ok(None) };
+            let look = Look { job, groups: &groups, overlap_px: config.refine.overlap_px, voxel: extent.gsd };
+            let Some(canvas) = look.fuse_view(view_index, &camera)? else { return Ok(None) };
             write_depth(job.output(), view_index, &canvas.depth, &canvas.weight)?;
             write(&job.output().join(view_file(view_index, "group.png")), &encode_instances_png(&canvas.group))?;
             Ok(Some(FusedView { view_index, cubes: cubes(&canvas.depth, &camera, view, &extent) }))
@@ -124,39 +125,61 @@ struct Layer {
     map: DepthMap,
 }
 
-/// The building inside its mask, the mean where surfaces meet, else the nearer; each pixel belongs to the group whose
-/// depth is nearest to what came out.
-fn fuse_view(
-    job: &Job<'_>,
-    groups: &[Group],
-    view_index: usize,
-    camera: &Pinhole,
+/// What all views are fused with.
+struct Look<'a, 'j> {
+    job: &'a Job<'j>,
+    groups: &'a [Group],
+    overlap_px: f32,
     voxel: f64,
-) -> Result<Option<Canvas>> {
-    let mut layers = Vec::new();
-    for group in groups {
-        layers.extend(layer(job, group, view_index, camera)?);
-    }
-    let of = |kind: GroupKind| {
-        layers.iter().filter(move |layer| layer.kind == kind).map(|layer| &layer.map).collect::<Vec<_>>()
-    };
-    let joined = |maps: Vec<&DepthMap>| if maps.is_empty() { Ok(None) } else { combine(&maps, voxel).map(Some) };
-    let (buildings, background) = (joined(of(GroupKind::Building))?, joined(of(GroupKind::Background))?);
-    let fused = match (buildings, background) {
-        (Some(buildings), Some(background)) => {
-            let inside = classes_of(&job.input("refine"), view_index, GroupKind::Building)?;
-            merge_views(&buildings, inside.as_ref(), &background, voxel)?
+}
+
+impl Look<'_, '_> {
+    /// The building inside its mask, the mean where surfaces meet, else the nearer. A pixel belongs to the group whose
+    /// depth is nearest to what came out, in a building's mask to a building if one is near.
+    fn fuse_view(&self, view_index: usize, camera: &Pinhole) -> Result<Option<Canvas>> {
+        let mut layers = Vec::new();
+        for group in self.groups {
+            layers.extend(layer(self.job, group, view_index, camera)?);
         }
-        (Some(one), None) | (None, Some(one)) => one,
-        (None, None) => return Ok(None),
-    };
-    let mut group = Map::filled(camera.width, camera.height, 0);
-    for (at, z) in fused.depth.values.iter().enumerate().filter(|(_, z)| **z > 0.0) {
-        let near = layers.iter().filter(|layer| layer.map.depth.values[at] > 0.0);
-        let off = |layer: &&Layer| (layer.map.depth.values[at] - z).abs();
-        group.values[at] = near.min_by(|a, b| off(a).total_cmp(&off(b))).map_or(0, |layer| layer.number);
+        let of = |kind: GroupKind| {
+            layers.iter().filter(move |layer| layer.kind == kind).map(|layer| &layer.map).collect::<Vec<_>>()
+        };
+        let voxel = self.voxel;
+        let joined = |maps: Vec<&DepthMap>| if maps.is_empty() { Ok(None) } else { combine(&maps, voxel).map(Some) };
+        let (buildings, background) = (joined(of(GroupKind::Building))?, joined(of(GroupKind::Background))?);
+        let inside = match (&buildings, &background) {
+            (Some(_), Some(_)) => classes_of(&self.job.input("refine"), view_index, GroupKind::Building)?,
+            _ => None,
+        };
+        let fused = match (buildings, background) {
+            (Some(buildings), Some(background)) => {
+                let border = inside.as_ref().map(|classes| Border { classes, overlap_px: self.overlap_px });
+                merge_views(&buildings, border.as_ref(), &background, voxel)?
+            }
+            (Some(one), None) | (None, Some(one)) => one,
+            (None, None) => return Ok(None),
+        };
+        let mut group = Map::filled(camera.width, camera.height, 0);
+        for (at, z) in fused.depth.values.iter().enumerate().filter(|(_, z)| **z > 0.0) {
+            let is_inside = inside.as_ref().is_some_and(|mask| mask.classes[at].is_active());
+            group.values[at] = owner(&layers, at, *z, if is_inside { (MEETING_VOXELS * voxel) as f32 } else { 0.0 });
+        }
+        Ok(Some(Canvas { depth: fused.depth, weight: fused.weight, group }))
     }
-    Ok(Some(Canvas { depth: fused.depth, weight: fused.weight, group }))
+}
+
+/// The group whose depth is nearest to `z`; that of a building within `reach` goes before.
+fn owner(layers: &[Layer], at: usize, z: f32, reach: f32) -> u16 {
+    let rank = |layer: &&Layer| {
+        let off = (layer.map.depth.values[at] - z).abs();
+        (layer.kind != GroupKind::Building || off >= reach, off)
+    };
+    let near = layers.iter().filter(|layer| layer.map.depth.values[at] > 0.0);
+    let first = near.min_by(|a, b| {
+        let (a, b) = (rank(a), rank(b));
+        a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+    });
+    first.map_or(0, |layer| layer.number)
 }
 
 fn layer(job: &Job<'_>, group: &Group, view_index: usize, camera: &Pinhole) -> Result<Option<Layer>> {

@@ -9,6 +9,7 @@ use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces};
 use pgsag_mesh::identity::{RoofRules, given_pieces, roof_pieces};
 use pgsag_mesh::merge::split_by_building;
 use pgsag_mesh::render::visibility;
+use pgsag_mesh::settle::settle;
 use pgsag_scene::numbers::{median, quantile};
 use pgsag_scene::{Mesh, Scene};
 use serde::{Deserialize, Serialize};
@@ -35,7 +36,8 @@ pub struct BuildingOptions {
     pub min_piece_faces: usize,
     /// Buildings part in plan view where a gap is wider than about two of these.
     pub plan_cell_m: f64,
-    /// Roofs that touch are of two buildings where their heights differ by more than this, metres; 0: only gaps part.
+    /// Roofs that touch are of two buildings where their heights differ by more than this, metres, and by more than one
+    /// and a half samples of the volume, which no relief resolves; 0: only gaps part.
     pub height_step_m: f64,
     /// Building surface of less than this is no building of its own and counts as background.
     pub min_building_m2: f64,
@@ -43,7 +45,7 @@ pub struct BuildingOptions {
 
 impl Default for BuildingOptions {
     fn default() -> Self {
-        Self { min_piece_m2: 2.0, min_piece_faces: 50, plan_cell_m: 0.5, height_step_m: 0.5, min_building_m2: 10.0 }
+        Self { min_piece_m2: 2.0, min_piece_faces: 50, plan_cell_m: 0.5, height_step_m: 0.2, min_building_m2: 10.0 }
     }
 }
 
@@ -158,6 +160,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         city.groups = vec![1; city.faces.len()];
         return job.write(&Merged { buildings: city.clone(), city, list: Vec::new() });
     }
+    city.groups = settle(&city, &city.groups, crumbs.min_area);
     let voxel = lattice_of(&groups.extent, &config, imported.scene.frame.metres_per_unit).voxel;
     let cell = lengths.units(options.plan_cell_m).max(1.5 * voxel);
     let up = imported.scene.frame.up_world;
@@ -166,8 +169,11 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     if options.height_step_m > 0.0 && !is_parted {
         job.say("the cameras stand below the roofs: gaps alone part buildings, not the heights of roofs");
     }
-    let step = if is_parted { lengths.units(options.height_step_m) } else { f64::INFINITY };
+    let step = lengths.units(options.height_step_m).max(1.5 * voxel);
+    let step = if is_parted { step } else { f64::INFINITY };
     number_buildings(&mut city, up, &RoofRules { cell, step, min_area })?;
+    city.buildings = settle(&city, &city.buildings, crumbs.min_area);
+    match_groups(&mut city);
     let buildings = keep_faces(&city, |face| city.buildings[face] != 0);
     let parts = split_by_building(&buildings);
     let mut list: Vec<Building> = parts.iter().map(|(n, mesh)| described(*n, mesh, up, &lengths)).collect();
@@ -203,7 +209,7 @@ fn number_buildings(city: &mut Mesh, up: DVec3, rules: &RoofRules) -> Result<()>
     let is_building = |face: usize| city.groups[face] != 0;
     if city.buildings.iter().any(|number| *number != 0) {
         city.buildings = given_pieces(city, up, rules, &city.buildings, is_building)?;
-        forget_background(city);
+        match_groups(city);
         return Ok(());
     }
     let pieces = roof_pieces(city, up, rules, is_building)?;
@@ -215,15 +221,26 @@ fn number_buildings(city: &mut Mesh, up: DVec3, rules: &RoofRules) -> Result<()>
     order.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
     let number: BTreeMap<u32, u32> = order.iter().zip(1..).map(|((piece, _), number)| (*piece, number)).collect();
     city.buildings = pieces.iter().map(|piece| number.get(piece).copied().unwrap_or(0)).collect();
-    forget_background(city);
+    match_groups(city);
     Ok(())
 }
 
-/// What is no building belongs to no group of buildings either.
-fn forget_background(city: &mut Mesh) {
+/// What is no building belongs to no group of buildings either; what is one but was of no group goes to the group of most
+/// of that building.
+fn match_groups(city: &mut Mesh) {
+    let mut counts: BTreeMap<u32, BTreeMap<u32, usize>> = BTreeMap::new();
+    for (group, building) in city.groups.iter().zip(&city.buildings).filter(|(group, _)| **group != 0) {
+        *counts.entry(*building).or_default().entry(*group).or_default() += 1;
+    }
+    let most = |groups: &BTreeMap<u32, usize>| {
+        groups.iter().max_by_key(|(group, count)| (**count, u32::MAX - **group)).map_or(0, |(group, _)| *group)
+    };
+    let group_of: BTreeMap<u32, u32> = counts.iter().map(|(building, groups)| (*building, most(groups))).collect();
     for (group, building) in city.groups.iter_mut().zip(&city.buildings) {
         if *building == 0 {
             *group = 0;
+        } else if *group == 0 {
+            *group = group_of.get(building).copied().unwrap_or(0);
         }
     }
 }
@@ -341,6 +358,14 @@ mod tests {
         number_buildings(&mut city, DVec3::Z, &rules).expect("numbered");
         assert_eq!(city.buildings, [7, 7, 7, 4, 4, 4, 8, 8, 0, 0]);
         assert_eq!(city.groups, [1, 1, 1, 1, 1, 1, 2, 2, 0, 0]);
+    }
+
+    #[test]
+    fn what_became_building_takes_the_group_of_its_building() {
+        let mut city = squares(&[(0.0, 2), (1.0, 2), (2.0, 0), (3.0, 5)]);
+        city.buildings = vec![1, 1, 1, 1, 1, 1, 0, 0];
+        match_groups(&mut city);
+        assert_eq!(city.groups, [2, 2, 2, 2, 2, 2, 0, 0]);
     }
 
     #[test]
