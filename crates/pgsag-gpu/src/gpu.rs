@@ -37,7 +37,7 @@ pub struct Gpu {
     limits: Limits,
     pub(crate) backward: Backward,
     pub(crate) race: Race,
-    room: Room,
+    pub(crate) room: Room,
     /// Tiles of the last raster that was drawn whole.
     whole: Mutex<Option<Arc<Tiles>>>,
     /// Stands for pixels where all are drawn.
@@ -79,6 +79,14 @@ impl Gpu {
             whole: Mutex::default(),
             no_pixels,
         })
+    }
+
+    /// On the card of the unit tests, which must be there.
+    #[cfg(test)]
+    pub(crate) fn for_tests() -> Self {
+        let index = crate::tests::device().map_or(0, |device| device.adapter.index);
+        let options = GpuOptions { device: DeviceChoice::Index(index), ..GpuOptions::default() };
+        Self::new(&options).expect("it was opened before")
     }
 
     /// The card.

@@ -138,7 +138,7 @@ impl std::fmt::Debug for GpuRender {
 
 /// How many pairs there is room for: what renders have needed, and a half more.
 #[derive(Debug, Default)]
-pub(crate) struct Room(AtomicU64);
+pub(crate) struct Room(pub(crate) AtomicU64);
 
 impl Room {
     /// Takes note of a need.
@@ -262,24 +262,21 @@ impl Scene {
         Ok(Culled { order, starts, records, gaussians, pair_counts, shown, ranges })
     }
 
-    /// Lists of tiles, and the maps.
+    /// Lists of tiles, then the maps.
     fn blend(
         &self,
         device: &Device,
         record: &mut Recorder<'_>,
         (counters, uniform): (Counters, Buffer),
         culled: Culled,
-        pairs: u64,
+        room: u64,
     ) -> Result<Frame> {
+        let [tile_keys, owners, hits] = [(); 3].map(|()| record.scratch("pairs", 4 * room));
+        let (tile_keys, owners, hits) = (tile_keys?, owners?, hits?);
+        let first_pairs = record.scratch("slots", 4 * self.count as u64)?;
         let Culled { order, starts, records, gaussians, pair_counts, shown, ranges } = culled;
-        let mut words = |what: &'static str, count: u64| record.scratch(what, 4 * count);
-        let (tile_keys, owners, hits) = (words("pairs", pairs)?, words("pairs", pairs)?, words("pairs", pairs)?);
-        let first_pairs = words("slots", self.count as u64)?;
-        let pixels = self.pixel_count();
-        let lasts = words("maps", pixels)?;
-        let sizes = &counters.sizes;
-        let before = &self.tiles.before;
-        let emitted = [
+        let (sizes, before) = (&counters.sizes, &self.tiles.before);
+        let emitted: [&Buffer; 11] = [
             &uniform,
             sizes,
             before,
@@ -295,44 +292,11 @@ impl Scene {
         record.run(&EMIT, &emitted, counters.threads(Counted::Drawn));
         // Slots of tiles, and one more for pairs that no tile wants.
         let bits = u32::BITS - self.tiles.count.leading_zeros();
-        let [keys, in_lists] = sort::sort(device, record, &counters, (Counted::Pairs, pairs), &tile_keys, bits)?;
+        let [keys, pairs] = sort::sort(device, record, &counters, (Counted::Pairs, room), &tile_keys, bits)?;
         record.run(&RANGES, &[&uniform, sizes, &keys, &ranges], counters.threads(Counted::Pairs));
-        let gradient = self.options.gradient;
-        let planes = 4 * PLANES as u64 * pixels;
-        let maps = record.scratch("maps", planes)?;
-        let grads = record.scratch("gradients of maps", if gradient { planes } else { 0 })?;
-        if u64::from(self.tiles.count) * u64::from(TILE * TILE) < pixels.next_multiple_of(u64::from(TILE * TILE)) {
-            record.clear(&maps, planes);
-        }
-        if gradient {
-            record.clear(&grads, planes);
-        }
-        let load = ("LOAD", u32::from(self.options.load));
-        let [color, plane] = self.channels();
-        let drawn =
-            [&uniform, &self.tiles.list, &self.pixels, &ranges, &in_lists, &owners, &records, &maps, &lasts, &hits];
-        record.run_with(&FORWARD, &[color, plane, load], &drawn, Groups::Count(u64::from(self.tiles.count)));
-        let sums = record.scratch("sums", if gradient { 4 * SUMS * self.count as u64 } else { 0 })?;
-        let partial = record.scratch("partial sums", 8 * (self.count as u64).div_ceil(256))?;
-        let constants = [("OBSERVE", u32::from(self.options.observe)), ("GRADIENT", u32::from(gradient))];
-        let tallied = [
-            &uniform,
-            sizes,
-            &records,
-            &gaussians,
-            &pair_counts,
-            &first_pairs,
-            &hits,
-            &shown,
-            &self.statistics,
-            &sums,
-            &partial,
-        ];
-        record.run_with(&TALLY, &constants, &tallied, counters.threads(Counted::Drawn));
-        if gradient {
-            record.run(&TALLY_TOTAL, &[sizes, &partial], Groups::Count(1));
-        }
-        Ok(Frame {
+        let [maps, grads, lasts] = self.empty_maps(record)?;
+        let sums = record.scratch("sums", if self.options.gradient { 4 * SUMS * self.count as u64 } else { 0 })?;
+        let frame = Frame {
             uniform,
             counters,
             shown,
@@ -341,14 +305,74 @@ impl Scene {
             pair_counts,
             first_pairs,
             ranges,
-            pairs: in_lists,
+            pairs,
             owners,
             hits,
             maps,
             grads,
             lasts,
             sums,
-        })
+        };
+        self.forward(record, &frame)?;
+        Ok(frame)
+    }
+
+    /// Maps, their gradients, and the place of the last pair of every pixel; 0 where they must be.
+    fn empty_maps(&self, record: &mut Recorder<'_>) -> Result<[Arc<Buffer>; 3]> {
+        let pixels = self.pixel_count();
+        let bytes = 4 * PLANES as u64 * pixels;
+        let maps = record.scratch("maps", bytes)?;
+        let grads = record.scratch("gradients of maps", if self.options.gradient { bytes } else { 0 })?;
+        let lasts = record.scratch("maps", 4 * pixels)?;
+        let grid = u64::from(self.tiles.width.div_ceil(TILE)) * u64::from(self.tiles.height.div_ceil(TILE));
+        if u64::from(self.tiles.count) < grid {
+            record.clear(&maps, bytes);
+        }
+        if self.options.gradient {
+            record.clear(&grads, bytes);
+        }
+        Ok([maps, grads, lasts])
+    }
+
+    /// Blends, and finds out who was blended.
+    fn forward(&self, record: &mut Recorder<'_>, frame: &Frame) -> Result<()> {
+        let [color, planes] = self.channels();
+        let sizes = &frame.counters.sizes;
+        let drawn: [&Buffer; 10] = [
+            &frame.uniform,
+            &self.tiles.list,
+            &self.pixels,
+            &frame.ranges,
+            &frame.pairs,
+            &frame.owners,
+            &frame.records,
+            &frame.maps,
+            &frame.lasts,
+            &frame.hits,
+        ];
+        let constants = [color, planes, ("LOAD", u32::from(self.options.load))];
+        record.run_with(&FORWARD, &constants, &drawn, Groups::Count(u64::from(self.tiles.count)));
+        let block_sums = record.scratch("partial sums", 8 * (self.count as u64).div_ceil(256))?;
+        let tallied: [&Buffer; 11] = [
+            &frame.uniform,
+            sizes,
+            &frame.records,
+            &frame.gaussians,
+            &frame.pair_counts,
+            &frame.first_pairs,
+            &frame.hits,
+            &frame.shown,
+            &self.statistics,
+            &frame.sums,
+            &block_sums,
+        ];
+        let gradient = self.options.gradient;
+        let constants = [("OBSERVE", u32::from(self.options.observe)), ("GRADIENT", u32::from(gradient))];
+        record.run_with(&TALLY, &constants, &tallied, frame.counters.threads(Counted::Drawn));
+        if gradient {
+            record.run(&TALLY_TOTAL, &[sizes, &block_sums], Groups::Count(1));
+        }
+        Ok(())
     }
 
     /// Reads the maps that were asked for.
@@ -380,3 +404,6 @@ impl Scene {
         Map { width, height, values }
     }
 }
+
+#[cfg(test)]
+mod tests;

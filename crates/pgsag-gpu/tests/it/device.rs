@@ -7,7 +7,7 @@ use pgsag_splat::cloud::SplatCloud;
 
 use crate::gpu;
 
-fn camera(width: u32, height: u32) -> ViewCamera {
+pub(crate) fn camera(width: u32, height: u32) -> ViewCamera {
     let (cx, cy) = (0.5 * f64::from(width), 0.5 * f64::from(height));
     ViewCamera {
         pinhole: Pinhole { width, height, fx: 60.0, fy: 60.0, cx, cy },
@@ -18,14 +18,14 @@ fn camera(width: u32, height: u32) -> ViewCamera {
 }
 
 /// Discs in a ring.
-fn cloud(count: usize) -> SplatCloud {
+pub(crate) fn cloud(count: usize) -> SplatCloud {
     let angle = |i: usize| i as f32 * 0.7;
     SplatCloud {
-        means: (0..count).map(|i| [angle(i).cos(), 0.7 * angle(i).sin(), 3.0 + 0.01 * i as f32]).collect(),
+        means: (0..count).map(|i| [libm::cosf(angle(i)), 0.7 * libm::sinf(angle(i)), 3.0 + 0.01 * i as f32]).collect(),
         log_scales: vec![[-1.8, -1.5, -4.0]; count],
-        rotations: (0..count).map(|i| [1.0, 0.1 * angle(i).sin(), 0.2, 0.0]).collect(),
+        rotations: (0..count).map(|i| [1.0, 0.1 * libm::sinf(angle(i)), 0.2, 0.0]).collect(),
         opacity_logits: vec![0.5; count],
-        harmonics: (0..3 * count).map(|i| (i as f32).sin()).collect(),
+        harmonics: (0..3 * count).map(|i| libm::sinf(i as f32)).collect(),
         ..SplatCloud::default()
     }
 }

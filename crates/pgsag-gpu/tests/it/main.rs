@@ -4,6 +4,7 @@
 
 mod conformance;
 mod device;
+mod steps;
 
 use std::sync::OnceLock;
 
