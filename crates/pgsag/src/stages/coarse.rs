@@ -91,11 +91,12 @@ impl Coarse {
         }
     }
 
-    /// Which points each view bears witness to.
+    /// Which points each view bears witness to; views that were kept out have measured none, though they may be in the
+    /// tracks of sparse points.
     #[must_use]
-    pub fn witnesses(&self) -> Witnesses<'_> {
-        let seen = self.points.iter().flat_map(|point| &point.track);
-        Witnesses { points: &self.points, measuring: seen.map(|seen| seen.view_index).collect() }
+    pub fn witnesses(&self, config: &Config) -> Witnesses<'_> {
+        let seen = self.points.iter().flat_map(|point| &point.track).map(|seen| seen.view_index);
+        Witnesses { points: &self.points, measuring: seen.filter(|view| !config.is_held_out(*view as usize)).collect() }
     }
 
     /// These points, and those of `sparse` that are alone: none of these lies in their cell of width `reach` (scene
@@ -254,9 +255,11 @@ mod tests {
         };
         let other = SparsePoint { track: vec![TrackElement { view_index: 3, xy_px: [0.0; 2] }], ..point.clone() };
         let coarse = Coarse { points: vec![point, other], ..Coarse::default() };
-        let witnesses = coarse.witnesses();
+        let witnesses = coarse.witnesses(&Config::default());
         let of_first: Vec<bool> = (0..4).map(|view| witnesses.include(0, view)).collect();
         assert_eq!(of_first, [true, true, true, false]);
+        let kept_out = Config { holdout: 3, ..Config::default() };
+        assert!(coarse.witnesses(&kept_out).include(0, 3));
     }
 
     #[test]

@@ -347,7 +347,7 @@ fn by_geometry(
         found.buildings, found.others
     ));
     let photographs = Photographs::new(imported, config, job, 0);
-    let witnesses = coarse.witnesses();
+    let witnesses = coarse.witnesses(config);
     let done = std::sync::atomic::AtomicU64::new(0);
     let draw = |&view: &usize| {
         job.check()?;

@@ -129,7 +129,7 @@ pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
     let is_used = config.refine.correct && !labels.is_empty();
     let coarse = if is_used { job.read("coarse")? } else { Coarse::default() };
     let surface = Surface::new(coarse.points.iter().map(|point| point.position_world).collect());
-    let witnesses = coarse.witnesses();
+    let witnesses = coarse.witnesses(&config);
     let pencil = Pencil { witnesses, surface, labels, photographs, imported: &imported };
     let asker = segmenter.filter(|_| is_used).map(|segmenter| Asker::new(job, &config, &pencil, segmenter));
     let masks = job.input("masks");
