@@ -56,8 +56,8 @@ pub static PIPELINE: &[Stage] = &[
     row::<mesh::Surface>("mesh", &["import", "masks", "group", "fuse"], Per::Tile, &["surface", IMAGES], mesh::jobs, mesh::run),
     Stage { sources: crate::stages::aoi::sources, code: 3,
     ..row::<merge::Merged>("merge", &["import", "group", "mesh"], Per::Whole, &["buildings", "surface.voxel_gsd", "surface.voxel_m"], merge::jobs, merge::run) },
-    Stage { sources: score::sources, code: 3,
-    ..row::<score::Scored>("score", &["import", "coarse", "group", "merge"], Per::Whole, &["score", "evidence", "neighbors", "holdout", "images", "seed", IMAGES], score::jobs, score::run) },
+    Stage { sources: score::sources, code: 4,
+    ..row::<score::Scored>("score", &["import", "coarse", "group", "merge"], Per::Whole, &["score", "evidence", "memory_limit", "neighbors", "holdout", "images", "seed", IMAGES], score::jobs, score::run) },
     Stage { publishes: Some("result"),
     ..row::<report::Published>("report", &["import", "vote", "group", "train", "merge", "score"], Per::Whole, &["buildings", IMAGES], report::jobs, report::run) },
 ];

@@ -15,7 +15,7 @@ use super::group::Groups;
 use super::import::Imported;
 use super::mesh::read_surface;
 use super::{config, read_json, source_fingerprint, write_json};
-use crate::config::Config;
+use crate::config::{Config, parse_size};
 use crate::error::UserError;
 use crate::report::pictures::chosen;
 use crate::run::Run;
@@ -149,22 +149,48 @@ pub fn read_evidence(folder: &Path) -> Result<Evidence> {
     read_json(&folder.join("evidence.json"))
 }
 
-pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
-    let config = config(run)?;
-    let length = |path: &Path| std::fs::metadata(path).map_or(0, |found| found.len());
-    let merge = run.stage_folder("merge");
-    let (city, buildings) = (length(&merge.join("city.ply")), length(&merge.join("buildings.ply")));
-    let coarse = length(&run.stage_folder("coarse").join("points.bin"));
-    let (mut memory, mut secs) = (15 * city + 3 * coarse, 2.0);
-    secs += (6e-9 * f64::from(config.evidence.pairs) + 60e-9) * city as f64;
-    if !config.truth.is_empty() {
-        let known = Path::new(&config.truth);
-        let truth = length(known) + length(&known.join("scene.ply")) + length(&known.join("visible.ply"));
-        memory += 17 * buildings + 10 * truth;
-        secs += 5.0 + buildings as f64 * 1e-6;
+/// What the stage needs.
+struct Needs {
+    cost: Cost,
+    /// Whether photographs and points are asked as well: not where a `--memory-limit` that was given forbids it.
+    with_evidence: bool,
+    /// With it, bytes.
+    evidence_bytes: u64,
+}
+
+impl Needs {
+    fn of(run: &Run, config: &Config) -> Result<Self> {
+        let length = |path: &Path| std::fs::metadata(path).map_or(0, |found| found.len());
+        let merge = run.stage_folder("merge");
+        let (city, buildings) = (length(&merge.join("city.ply")), length(&merge.join("buildings.ply")));
+        let coarse = length(&run.stage_folder("coarse").join("points.bin"));
+        let base = 160 << 20;
+        let (mut secs, mut judged) = (2.0, 0);
+        if !config.truth.is_empty() {
+            let known = Path::new(&config.truth);
+            let truth = length(known) + length(&known.join("scene.ply")) + length(&known.join("visible.ply"));
+            judged = 17 * buildings + 10 * truth;
+            secs += 5.0 + buildings as f64 * 1e-6;
+        }
+        let evidence_bytes = base + 15 * city + 3 * coarse + judged;
+        let limit = match config.memory_limit.as_str() {
+            "" => u64::MAX,
+            given => parse_size(given)?,
+        };
+        let with_evidence = evidence_bytes <= limit;
+        if with_evidence {
+            secs += (6e-9 * f64::from(config.evidence.pairs) + 60e-9) * city as f64;
+        }
+        // The city is gone before the buildings are judged.
+        let without = base + 3 * coarse + judged.max(4 * city);
+        let memory_bytes = if with_evidence { evidence_bytes } else { without };
+        Ok(Self { cost: Cost { memory_bytes, disk_bytes: 1 << 20, cpu_secs: secs }, with_evidence, evidence_bytes })
     }
-    let cost = Cost { memory_bytes: (160 << 20) + memory, disk_bytes: 1 << 20, cpu_secs: secs };
-    Ok(JobPlan::whole(&["import", "coarse", "group", "merge"], cost))
+}
+
+pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
+    let needs = Needs::of(run, &config(run)?)?;
+    Ok(JobPlan::whole(&["import", "coarse", "group", "merge"], needs.cost))
 }
 
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
@@ -173,9 +199,17 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let groups: Groups = job.read("group")?;
     let city = read_surface(&job.input("merge").join("city.ply"))?;
     let mut easel = Easel { job, config: &config, imported: &imported, drawn: Vec::new() };
-    let (evidence, shown) = gather(job, &config, &imported, &city)?;
-    easel.residuals(&shown)?;
-    job.say(&in_words(&evidence).unwrap_or_else(|| "nothing can be said of the surface without truth".into()));
+    let needs = Needs::of(job.run, &config)?;
+    let evidence = if needs.with_evidence {
+        let (evidence, shown) = gather(job, &config, &imported, &city)?;
+        easel.residuals(&shown)?;
+        job.say(&in_words(&evidence).unwrap_or_else(|| "nothing can be said of the surface without truth".into()));
+        evidence
+    } else {
+        let gib = needs.evidence_bytes as f64 / f64::from(1 << 30);
+        job.warn(format!("photographs and points were not asked about the surface: that takes {gib:.1} GiB"));
+        Evidence::default()
+    };
     write_json(&job.output().join("evidence.json"), &evidence)?;
     if config.truth.is_empty() {
         write_pictures(job, &easel.drawn)?;
