@@ -126,12 +126,9 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     if let Some(words) = lengths.assumption() {
         job.warn(words);
     }
-    let parts = job
-        .run
-        .finished_jobs("mesh")?
-        .iter()
-        .map(|name| Ok(job.read_job::<Surface>("mesh", name)?.0))
-        .collect::<Result<Vec<_>>>()?;
+    let cubes = job.run.finished_jobs("mesh")?;
+    let surface = |name: &String| Ok(job.read_job::<Surface>("mesh", name)?.0);
+    let parts = cubes.iter().map(surface).collect::<Result<Vec<_>>>()?;
     let mut city = pgsag_mesh::merge::merge(&parts);
     drop(parts);
     let area = Area::of(&config)?;
@@ -160,20 +157,18 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         city.groups = vec![1; city.faces.len()];
         return job.write(&Merged { buildings: city.clone(), city, list: Vec::new() });
     }
-    city.groups = settle(&city, &city.groups, crumbs.min_area);
-    let voxel = lattice_of(&groups.extent, &config, imported.scene.frame.metres_per_unit).voxel;
-    let cell = lengths.units(options.plan_cell_m).max(1.5 * voxel);
     let up = imported.scene.frame.up_world;
-    let min_area = lengths.square_units(options.min_building_m2);
+    let voxel = lattice_of(&groups.extent, &config, imported.scene.frame.metres_per_unit).voxel;
     let is_parted = options.height_step_m > 0.0 && looks_down(&city, &imported.scene, up);
     if options.height_step_m > 0.0 && !is_parted {
         job.say("the cameras stand below the roofs: gaps alone part buildings, not the heights of roofs");
     }
-    let step = lengths.units(options.height_step_m).max(1.5 * voxel);
-    let step = if is_parted { step } else { f64::INFINITY };
-    number_buildings(&mut city, up, &RoofRules { cell, step, min_area })?;
-    city.buildings = settle(&city, &city.buildings, crumbs.min_area);
-    match_groups(&mut city);
+    let rules = RoofRules {
+        cell: lengths.units(options.plan_cell_m).max(1.5 * voxel),
+        step: if is_parted { lengths.units(options.height_step_m).max(1.5 * voxel) } else { f64::INFINITY },
+        min_area: lengths.square_units(options.min_building_m2),
+    };
+    tell_apart(&mut city, up, &rules, crumbs.min_area)?;
     let buildings = keep_faces(&city, |face| city.buildings[face] != 0);
     let parts = split_by_building(&buildings);
     let mut list: Vec<Building> = parts.iter().map(|(n, mesh)| described(*n, mesh, up, &lengths)).collect();
@@ -198,6 +193,15 @@ fn looks_down(city: &Mesh, scene: &Scene, up: DVec3) -> bool {
         (Some(high), Some(camera)) => camera > high,
         _ => true,
     }
+}
+
+/// Labels without speckles of less than `crumb`, scene units squared, and buildings by number.
+fn tell_apart(city: &mut Mesh, up: DVec3, rules: &RoofRules, crumb: f64) -> Result<()> {
+    city.groups = settle(city, &city.groups, crumb);
+    number_buildings(city, up, rules)?;
+    city.buildings = settle(city, &city.buildings, crumb);
+    match_groups(city);
+    Ok(())
 }
 
 /// Numbers the pieces of building surface: as given in instance masks, else from 1, the largest first; small ones become
