@@ -134,14 +134,19 @@ fn products_of(warp: Warp) -> Products {
     return result;
 }
 
-// Gradient of N: moments of what pulls along the ray over the patch, since rays are linear in column and row.
-fn pull_of(index: u32, warp: Warp, products: Products, pull: vec2<f32>) -> vec3<f32> {
+// Gradient of N: moments of what pulls along the ray over the patch, since rays are linear in column and row. In w the
+// squared rest of the neighbour's patch that the own one does not explain.
+fn pull_of(index: u32, warp: Warp, products: Products, pull: vec2<f32>) -> vec4<f32> {
     let translation = vec3<f32>(params.between[0].w, params.between[1].w, params.between[2].w);
+    let gain = products.both / products.own;
     var moments = vec3<f32>(0.0);
+    var rest = 0.0;
     for (var row = 0u; row < SIDE; row += 1u) {
         for (var column = 0u; column < SIDE; column += 1u) {
             let sample = sample_of(warp, column, row);
             let pair = vec2<f32>(own_grey(warp, column, row), sample.grey) - products.first - products.means;
+            let off = pair.y - gain * pair.x;
+            rest += off * off;
             let d_screen = sample.slope * dot(pull, pair) * params.other_lens.xy / sample.point.z;
             let back = dot(d_screen, sample.point.xy) / sample.point.z;
             let along = -dot(vec3<f32>(d_screen, -back), translation);
@@ -150,7 +155,7 @@ fn pull_of(index: u32, warp: Warp, products: Products, pull: vec2<f32>) -> vec3<
     }
     let first = ray_of(vec2<f32>(warp.corner)) * moments.x;
     let steps = vec3<f32>(moments.yz * params.inverse.xy, 0.0);
-    return (first + steps) / maps[7u * params.size.z + index];
+    return vec4<f32>((first + steps) / maps[7u * params.size.z + index], rest);
 }
 
 // Weighted loss and 1 of a patch that is kept; its gradients are left for `apply`.
@@ -165,16 +170,17 @@ fn compare_patch(patch_index: u32, index: u32) -> vec2<f32> {
         return vec2<f32>(0.0);
     }
     let both = products.own * products.other + EPSILON;
-    let loss = max(1.0 - products.both * products.both / both, 0.0);
-    if (!(loss < KEEP_BELOW)) {
+    if (!(1.0 - products.both * products.both / both < KEEP_BELOW)) {
         return vec2<f32>(0.0);
     }
     let weight = gates[index];
     let own_pull = -2.0 * products.both / both * weight;
     let other_pull = 2.0 * products.both * products.both * products.own / (both * both) * weight;
-    let d_normal = pull_of(index, warp, products, vec2<f32>(own_pull, other_pull));
-    patches[patch_index] = vec4<f32>(d_normal, -dot(normal_at(index), d_normal) / distance);
+    let pull = pull_of(index, warp, products, vec2<f32>(own_pull, other_pull));
+    patches[patch_index] = vec4<f32>(pull.xyz, -dot(normal_at(index), pull.xyz) / distance);
     centers[patch_index] = index;
+    // 1 - (r x)^2 / P without the difference of nearly equal numbers.
+    let loss = (products.own * pull.w + EPSILON) / both;
     return vec2<f32>(weight * loss, 1.0);
 }
 

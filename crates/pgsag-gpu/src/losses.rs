@@ -220,15 +220,18 @@ pub(crate) fn compare(
     let [params, _] = &desk.params;
     let reduce = [params, &*desk.partials, &*desk.terms];
     record.run(&kernels::REDUCE, &reduce, Groups::Count(params::REGIONS as u64));
+    // Kept until the work is submitted: another thread of this device may ask for scratch.
+    let mut kept = None;
     if let Some((other, pair)) = &pair {
         carry(&mut record, request, &desk, (*other, pair));
-        ncc(&mut record, device, request, &desk, (*other, pair))?;
+        kept = ncc(&mut record, device, request, &desk, (*other, pair))?;
     }
     let Side { view, maps, grads, sizes } = request.reference;
     record.run(&kernels::TOTAL, &[params, &*desk.terms, sizes], Groups::Count(1));
     let level = [params, &view.pixels, &view.losses.traits, maps, grads, &*desk.terms];
     record.run(&kernels::LEVEL, &level, desk.groups(Region::Load));
     record.submit();
+    drop(kept);
     let mut parts: Vec<(&wgpu::Buffer, u64, u64)> =
         vec![(&desk.terms, 16 * params::VALUES, 16 * params::VALUE_ROWS as u64)];
     parts.extend_from_slice(extra);
@@ -285,17 +288,17 @@ fn carry(record: &mut Recorder<'_>, request: &Request<'_>, desk: &Desk, (other, 
     }
 }
 
-/// Patches: which, compared, their gradients.
+/// Patches: which, compared, their gradients. Returns the scratch that it takes.
 fn ncc(
     record: &mut Recorder<'_>,
     device: &Device,
     request: &Request<'_>,
     desk: &Desk,
     (other, pair): (Side<'_>, &Pair),
-) -> Result<()> {
+) -> Result<Option<[Arc<Buffer>; 3]>> {
     let groups = desk.plan.count(Region::Ncc);
     if groups == 0 {
-        return Ok(());
+        return Ok(None);
     }
     let Side { view, maps, grads, .. } = request.reference;
     let blocks = view.losses.pixel_count.div_ceil(BLOCK) as u64;
@@ -322,7 +325,7 @@ fn ncc(
     let reduce = [params, &*desk.partials, &*desk.terms];
     record.run(&kernels::REDUCE, &reduce, Groups::Count(params::REGIONS as u64));
     record.run(&kernels::PATCHES, &[params, grads, &*desk.terms, &*centers, &*slopes], desk.groups(Region::Ncc));
-    Ok(())
+    Ok(Some([marks, centers, slopes]))
 }
 
 /// As `loss_total` writes them.

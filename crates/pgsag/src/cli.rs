@@ -33,7 +33,7 @@ pub enum Command {
     #[command(after_help = "Example:\n  pgsag reconstruct my-city -o my-city.run --preset fast --image-width 1600")]
     Reconstruct(ReconstructArgs),
     /// Checks a scene before hours are spent.
-    #[command(after_help = "Example:\n  pgsag doctor my-city")]
+    #[command(after_help = "Example:\n  pgsag doctor my-city\n  pgsag doctor --self-test --device gpu")]
     Doctor(DoctorArgs),
     /// Building masks by language, or a look at masks that are there.
     #[command(after_help = "Example:\n  pgsag mask photos -o masks --prompt \"buildings.\" --preview")]
