@@ -220,18 +220,15 @@ pub(crate) fn compare(
     let [params, _] = &desk.params;
     let reduce = [params, &*desk.partials, &*desk.terms];
     record.run(&kernels::REDUCE, &reduce, Groups::Count(params::REGIONS as u64));
-    // Kept until the work is submitted: another thread of this device may ask for scratch.
-    let mut kept = None;
     if let Some((other, pair)) = &pair {
         carry(&mut record, request, &desk, (*other, pair));
-        kept = ncc(&mut record, device, request, &desk, (*other, pair))?;
+        ncc(&mut record, request, &desk, (*other, pair))?;
     }
     let Side { view, maps, grads, sizes } = request.reference;
     record.run(&kernels::TOTAL, &[params, &*desk.terms, sizes], Groups::Count(1));
     let level = [params, &view.pixels, &view.losses.traits, maps, grads, &*desk.terms];
     record.run(&kernels::LEVEL, &level, desk.groups(Region::Load));
     record.submit();
-    drop(kept);
     let mut parts: Vec<(&wgpu::Buffer, u64, u64)> =
         vec![(&desk.terms, 16 * params::VALUES, 16 * params::VALUE_ROWS as u64)];
     parts.extend_from_slice(extra);
@@ -288,24 +285,18 @@ fn carry(record: &mut Recorder<'_>, request: &Request<'_>, desk: &Desk, (other, 
     }
 }
 
-/// Patches: which, compared, their gradients. Returns the scratch that it takes.
-fn ncc(
-    record: &mut Recorder<'_>,
-    device: &Device,
-    request: &Request<'_>,
-    desk: &Desk,
-    (other, pair): (Side<'_>, &Pair),
-) -> Result<Option<[Arc<Buffer>; 3]>> {
+/// Patches: which, compared, their gradients.
+fn ncc(record: &mut Recorder<'_>, request: &Request<'_>, desk: &Desk, (other, pair): (Side<'_>, &Pair)) -> Result<()> {
     let groups = desk.plan.count(Region::Ncc);
     if groups == 0 {
-        return Ok(None);
+        return Ok(());
     }
     let Side { view, maps, grads, .. } = request.reference;
     let blocks = view.losses.pixel_count.div_ceil(BLOCK) as u64;
-    let marks = device.scratch("marks of pixels", 4 * (9 * blocks + 1))?;
+    let marks = record.scratch("marks of pixels", 4 * (9 * blocks + 1))?;
     let patches = u64::from(groups) * u64::from(params::PATCHES);
-    let centers = device.scratch("centres of patches", 4 * patches)?;
-    let slopes = device.scratch("gradients of patches", 16 * patches)?;
+    let centers = record.scratch("centres of patches", 4 * patches)?;
+    let slopes = record.scratch("gradients of patches", 16 * patches)?;
     let [params, _] = &desk.params;
     record.run(&kernels::MARK, &[params, &view.losses.traits, &pair.gates, &marks], Groups::Count(blocks));
     record.run(&kernels::RANK, &[params, &marks], Groups::Count(1));
@@ -325,7 +316,7 @@ fn ncc(
     let reduce = [params, &*desk.partials, &*desk.terms];
     record.run(&kernels::REDUCE, &reduce, Groups::Count(params::REGIONS as u64));
     record.run(&kernels::PATCHES, &[params, grads, &*desk.terms, &*centers, &*slopes], desk.groups(Region::Ncc));
-    Ok(Some([marks, centers, slopes]))
+    Ok(())
 }
 
 /// As `loss_total` writes them.

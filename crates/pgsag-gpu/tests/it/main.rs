@@ -5,6 +5,7 @@
 mod conformance;
 mod device;
 mod steps;
+mod training;
 
 use std::sync::OnceLock;
 
