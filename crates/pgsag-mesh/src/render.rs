@@ -114,8 +114,20 @@ fn add_clipped(triangles: &mut Vec<Triangle>, face: u32, corners: [DVec3; 3], ca
     let project = |p: DVec3| DVec2::new(camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy);
     for at in 1..kept.len() - 1 {
         let part = [kept[0], kept[at], kept[at + 1]];
-        triangles.push(Triangle { face, corners: part.map(project), inverse_depths: part.map(|p| 1.0 / p.z) });
+        let corners = part.map(project);
+        if may_cover(&corners, camera) {
+            triangles.push(Triangle { face, corners, inverse_depths: part.map(|p| 1.0 / p.z) });
+        }
     }
+}
+
+/// Whether the centre of any pixel lies in the box of a triangle. Most faces of a city lie beside a picture or between its
+/// pixels; what is not kept costs neither memory nor a second look.
+fn may_cover(corners: &[DVec2; 3], camera: &Pinhole) -> bool {
+    let low = corners[0].min(corners[1]).min(corners[2]) - DVec2::splat(0.5 + 1e-6);
+    let high = corners[0].max(corners[1]).max(corners[2]) - DVec2::splat(0.5 - 1e-6);
+    let last = DVec2::new(f64::from(camera.width), f64::from(camera.height)) - 1.0;
+    low.ceil().max(DVec2::ZERO).cmple(high.floor().min(last)).all()
 }
 
 fn draw(triangle: &Triangle, first_row: usize, width: usize, faces: &mut [u32], inverse: &mut [f64]) {

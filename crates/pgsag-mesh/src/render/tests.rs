@@ -27,6 +27,24 @@ fn a_square_covers_the_pixels_it_covers() {
 }
 
 #[test]
+fn faces_smaller_than_a_pixel_cover_what_one_large_face_does() {
+    let whole = visibility(&square(4.0, 0.7), &camera(), &RigidTransform::IDENTITY);
+    let cells = 97;
+    let at = |i: usize| -0.7 + 1.4 * i as f64 / cells as f64;
+    let mut fine = Mesh::default();
+    for y in 0..=cells {
+        fine.vertices.extend((0..=cells).map(|x| [at(x), at(y), 4.0]));
+    }
+    let row = cells as u32 + 1;
+    for corner in (0..cells as u32).flat_map(|y| (0..cells as u32).map(move |x| y * row + x)) {
+        fine.faces.extend([[corner, corner + row + 1, corner + 1], [corner, corner + row, corner + row + 1]]);
+    }
+    let pieces = visibility(&fine, &camera(), &RigidTransform::IDENTITY);
+    let covered = |seen: &Visibility| seen.face.values.iter().map(|face| *face != NO_FACE).collect::<Vec<_>>();
+    assert_eq!(covered(&pieces), covered(&whole));
+}
+
+#[test]
 fn nearer_faces_hide_farther_ones_in_any_order() {
     let far_first = crate::merge::merge(&[square(4.0, 1.0), square(2.0, 0.25)]);
     let near_first = crate::merge::merge(&[square(2.0, 0.25), square(4.0, 1.0)]);
