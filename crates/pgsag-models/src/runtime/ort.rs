@@ -6,7 +6,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use ort::ep;
 use ort::session::builder::SessionBuilder;
 use ort::session::{Session as OrtSession, SessionInputValue};
 use ort::value::{DynValue, Tensor as OrtTensor};
@@ -28,6 +27,9 @@ const LIBRARY: &str = if cfg!(windows) {
     "libonnxruntime.so"
 };
 
+/// ONNX Runtime has one environment per process, and says so.
+static ENVIRONMENT: Mutex<Option<ort::environment::Environment>> = Mutex::new(None);
+
 /// The runtime, its library loaded.
 pub(super) struct Ort {
     environment: ort::environment::Environment,
@@ -42,8 +44,15 @@ impl Ort {
         let missing = |cause: &dyn std::fmt::Display| {
             ModelError::runtime(NAME, format!("{} cannot be loaded ({cause})", library.display()), CURE)
         };
-        let builder = ort::init_from(&library).map_err(|cause| missing(&cause))?;
-        let environment = builder.commit().map_err(|cause| missing(&cause))?;
+        let mut kept = ENVIRONMENT.lock().map_err(|cause| missing(&cause))?;
+        let environment = match kept.as_ref() {
+            Some(environment) => environment.clone(),
+            None => {
+                let builder = ort::init_from(&library).map_err(|cause| missing(&cause))?;
+                let made = builder.with_telemetry(false).build().map_err(|cause| missing(&cause))?;
+                kept.insert(made).clone()
+            }
+        };
         Ok(Self { environment, library })
     }
 }
@@ -60,17 +69,25 @@ impl Ort {
         }
         match options.device {
             Device::Cpu => Ok(builder),
-            Device::Cuda(number) => {
-                let device = ep::CUDA::default().with_device_id(number.cast_signed()).build().error_on_failure();
-                let missing = |cause: ort::Error<SessionBuilder>| {
-                    let cure =
-                        "take the library of onnxruntime-gpu and build with `--features ort-cuda`, or --device cpu";
-                    ModelError::runtime(NAME, format!("cuda:{number} is not to be had ({cause})"), cure)
-                };
-                builder.with_execution_providers([device]).map_err(missing)
-            }
+            Device::Cuda(number) => with_cuda(builder, number),
         }
     }
+}
+
+fn no_cuda(number: u32, why: impl std::fmt::Display) -> ModelError {
+    let cure = "take the library of onnxruntime-gpu and build with `--features ort-cuda`, or --device cpu";
+    ModelError::runtime(NAME, format!("cuda:{number} is not to be had ({why})"), cure)
+}
+
+#[cfg(feature = "ort-cuda")]
+fn with_cuda(builder: SessionBuilder, number: u32) -> Result<SessionBuilder, ModelError> {
+    let device = ort::ep::CUDA::default().with_device_id(number.cast_signed()).build().error_on_failure();
+    builder.with_execution_providers([device]).map_err(|cause| no_cuda(number, cause))
+}
+
+#[cfg(not(feature = "ort-cuda"))]
+fn with_cuda(_: SessionBuilder, number: u32) -> Result<SessionBuilder, ModelError> {
+    Err(no_cuda(number, "not part of this build"))
 }
 
 impl Runtime for Ort {
