@@ -247,13 +247,14 @@ class Decoder(torch.nn.Module):
         super().__init__()
         self.model = model
         self.register_buffer("place", model.get_image_wide_positional_embeddings().detach())
+        # All four come from one pass; the choice among them is taken out where it would be made.
+        model.mask_decoder.dynamic_multimask_via_stability = True
+        model.mask_decoder._dynamic_multimask_via_stability = lambda masks, scores: (masks, scores)
 
     def forward(self, input_points, input_labels, low, middle, high):
         sparse, dense = self.model.prompt_encoder(input_points, input_labels, None, None)
-        decoder = self.model.mask_decoder
-        single, first, _, objectness = decoder(high, self.place, sparse, dense, False, [low, middle])
-        several, others, _, _ = decoder(high, self.place, sparse, dense, True, [low, middle])
-        return torch.cat([single, several], 2), torch.cat([first, others], 2), objectness
+        masks, scores, _, objectness = self.model.mask_decoder(high, self.place, sparse, dense, False, [low, middle])
+        return masks, scores, objectness
 
 
 def prompts(size):
@@ -267,8 +268,6 @@ LEVELS = ["image_embeddings.0", "image_embeddings.1", "image_embeddings.2"]
 
 def export_segmenter(model, folder):
     """Writes encoder.onnx and decoder.onnx; the cases of the bundle's self-test."""
-    model.config.mask_decoder_config.dynamic_multimask_via_stability = False
-    model.mask_decoder.dynamic_multimask_via_stability = False
     size = model.config.prompt_encoder_config.image_size
     encoder, decoder = Encoder(model).eval(), Decoder(model).eval()
     pixels = normalised(test_picture(1, size, size))

@@ -9,7 +9,7 @@ use pgsag_scene::Image;
 use serde::{Deserialize, Serialize};
 
 use crate::boxes::Corners;
-use crate::error::ModelError;
+use crate::error::{ModelError, RUN_FAILED};
 use crate::onnx::Graph;
 use crate::picture::{Canvasful, PictureRules};
 use crate::runtime::Session;
@@ -159,7 +159,7 @@ impl GroundingDino {
         };
         let ended = if last == '.' { text.trim_end().to_owned() } else { format!("{}.", text.trim_end()) };
         let ids = self.words.encode(&ended).ids;
-        if ids.len() <= 3 && ended.trim_end_matches('.').trim().is_empty() {
+        if ids.iter().all(|id| PARTING.contains(id)) {
             return Err(ModelError::question("the prompt names nothing", cure));
         }
         if ids.len() > self.longest_text {
@@ -213,10 +213,14 @@ impl GroundingDino {
         let inputs: Vec<(&str, &Tensor)> = fed.iter().map(|(name, tensor)| (*name, tensor)).collect();
         let outputs = self.session.run(&inputs, &[&self.logits, &self.boxes])?;
         let logits = outputs[0].as_floats(&self.logits, 3)?;
-        let boxes: &[[f32; 4]] = bytemuck::cast_slice(outputs[1].as_floats(&self.boxes, 3)?);
-        let width = outputs[0].shape[2];
-        debug_assert_eq!(outputs[0].shape[0], batch);
-        Ok(Queries { boxes: boxes.to_vec(), logits: logits.to_vec(), width })
+        let boxes = outputs[1].as_floats(&self.boxes, 3)?;
+        let (rows, width) = (outputs[0].shape[1], outputs[0].shape[2]);
+        let longest = texts.iter().map(Vec::len).max().unwrap_or(0);
+        if outputs[0].shape[0] != batch || outputs[1].shape != [batch, rows, 4] || width < longest.max(1) {
+            let what = format!("{RUN_FAILED}: {:?} and {:?} do not fit", outputs[0].shape, outputs[1].shape);
+            return Err(ModelError::runtime("detector", what, "export it with tools/export_models.py"));
+        }
+        Ok(Queries { boxes: bytemuck::cast_slice(boxes).to_vec(), logits: logits.to_vec(), width })
     }
 }
 

@@ -3,7 +3,7 @@
 //! ONNX is protocol buffers; a few field numbers of its published schema are all that is needed here. Large tensors are
 //! skipped, and no length from the file is believed beyond the message that holds it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
@@ -43,7 +43,7 @@ pub struct Graph {
     /// Types of inner values, where the file states them.
     pub elements: BTreeMap<String, Element>,
     /// Files beside this one that hold weights.
-    pub external_files: Vec<String>,
+    pub external_files: BTreeSet<String>,
 }
 
 impl Graph {
@@ -86,11 +86,11 @@ impl Graph {
 
     fn read_graph<R: Read + Seek>(&mut self, wire: &mut Wire<'_, R>, length: u64) -> Result<(), String> {
         let mut message = wire.message(length);
-        let mut weights = Vec::new();
+        let mut weights = BTreeSet::new();
         while let Some(field) = wire.next(&mut message)? {
             match (field.number, field.length) {
                 (1, Some(length)) => self.read_node(wire, length)?,
-                (5, Some(length)) => weights.push(self.read_tensor(wire, length)?),
+                (5, Some(length)) => drop(weights.insert(self.read_tensor(wire, length)?)),
                 (11, Some(length)) => self.inputs.extend(read_info(wire, length)?),
                 (12, Some(length)) => self.outputs.extend(read_info(wire, length)?),
                 (13, Some(length)) => {
@@ -133,13 +133,16 @@ impl Graph {
             match (field.number, field.length) {
                 (1, Some(length)) => name = wire.text(length)?,
                 (4, Some(length)) if length <= LONGEST_TEXT => text = Some(wire.text(length)?),
-                // Branches of `If` and bodies of `Loop` hold operators too; their values are of no concern here.
-                (6, Some(length)) => {
+                (5 | 10, Some(length)) => drop(self.read_tensor(wire, length)?),
+                // Branches of `If` and bodies of `Loop` hold operators and weights too; inputs and outputs are their own.
+                (6 | 11, Some(length)) => {
                     let mut inner = Self::default();
                     wire.deeper()?;
                     inner.read_graph(wire, length)?;
                     wire.depth -= 1;
                     self.nodes.append(&mut inner.nodes);
+                    self.elements.append(&mut inner.elements);
+                    self.external_files.append(&mut inner.external_files);
                 }
                 _ => wire.skip(&field)?,
             }
@@ -160,14 +163,16 @@ impl Graph {
                 (8, Some(length)) => name = wire.text(length)?,
                 (13, Some(length)) => {
                     let (key, value) = read_pair(wire, length)?;
-                    if key == "location" && !self.external_files.contains(&value) {
-                        self.external_files.push(value);
+                    if key == "location" {
+                        self.external_files.insert(value);
                     }
                 }
                 _ => wire.skip(&field)?,
             }
         }
-        self.elements.insert(name.clone(), element);
+        if !name.is_empty() {
+            self.elements.insert(name.clone(), element);
+        }
         Ok(name)
     }
 

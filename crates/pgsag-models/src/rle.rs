@@ -43,19 +43,22 @@ pub fn encode(mask: &Map<bool>) -> String {
 /// The mask of a COCO string; `None` where it is not one of this size.
 #[must_use]
 pub fn decode(text: &str, width: u32, height: u32) -> Option<Map<bool>> {
+    let count = i64::from(width).checked_mul(i64::from(height))?;
     let (mut runs, mut value, mut shift): (Vec<i64>, i64, u32) = (Vec::new(), 0, 0);
+    let mut left = count;
     for letter in text.bytes() {
         let bits = i64::from(letter.checked_sub(48).filter(|bits| *bits < 64)?);
         value |= (bits & 0x1f).checked_shl(shift).filter(|_| shift < 40)?;
         shift += 5;
         if bits & 0x20 == 0 {
             value |= if bits & 0x10 != 0 { -1 << shift } else { 0 };
-            runs.push(value + if runs.len() > 2 { runs[runs.len() - 2] } else { 0 });
+            let run = value + if runs.len() > 2 { runs[runs.len() - 2] } else { 0 };
+            left -= Some(run).filter(|run| (0..=left).contains(run))?;
+            runs.push(run);
             (value, shift) = (0, 0);
         }
     }
-    let count = u64::from(width) * u64::from(height);
-    if runs.iter().any(|run| *run < 0) || runs.iter().sum::<i64>() != i64::try_from(count).ok()? {
+    if left != 0 || shift != 0 {
         return None;
     }
     let columns = runs.iter().enumerate().flat_map(|(i, &run)| std::iter::repeat_n(i % 2 == 1, run as usize));

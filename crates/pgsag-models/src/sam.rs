@@ -231,7 +231,7 @@ impl Sam2 {
         let scores = outputs[1].as_floats(names[1], rank - 2)?;
         let shape = &outputs[0].shape[rank - 3..];
         let (tokens, rows, columns) = (shape[0], shape[1], shape[2]);
-        if tokens == 0 || scores.len() != prompts.len() * tokens || masks.len() != scores.len() * rows * columns {
+        if masks.is_empty() || scores.len() != prompts.len() * tokens || masks.len() != scores.len() * rows * columns {
             let what = format!("{RUN_FAILED}: {} masks for {} prompts", scores.len(), prompts.len());
             return Err(ModelError::runtime("decoder", what, "export it with tools/export_models.py"));
         }
@@ -289,7 +289,7 @@ impl Sam2 {
 }
 
 /// Prompts that one call of the decoder takes; the reference's everything mode takes as many.
-const PROMPTS_AT_ONCE: usize = 64;
+const PROMPTS_AT_ONCE: usize = 8;
 
 fn family_of(graph: &Graph) -> Option<Family> {
     let all = |names: &[&str]| names.iter().all(|name| graph.input(name).is_some());

@@ -50,6 +50,12 @@ impl Tensor {
     /// [`ModelError::Runtime`] where the graph gave something else.
     pub fn as_floats(&self, name: &str, rank: usize) -> Result<&[f32], ModelError> {
         match &self.values {
+            // Half precision that overflows ends so; every comparison with it is false, and the mask would be empty.
+            Values::F32(values) if values.iter().any(|value| value.is_nan()) => Err(ModelError::runtime(
+                "graph",
+                format!("{RUN_FAILED}: output `{name}` is not a number"),
+                "take a bundle of full precision; `pgsag models verify` shows which bundle is broken",
+            )),
             Values::F32(values) if self.shape.len() == rank => Ok(values),
             _ => Err(ModelError::runtime(
                 "graph",

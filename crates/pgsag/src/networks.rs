@@ -96,12 +96,19 @@ pub(crate) fn bundle_of(models: &Path, kind: BundleKind, name: &str) -> Result<B
         return Ok(Bundle::open(&models.join(name))?);
     }
     let word = format!("{kind:?}").to_lowercase();
-    let found: Vec<Bundle> = bundle::list(models).into_iter().filter_map(Result::ok).collect();
-    let mut found: Vec<Bundle> = found.into_iter().filter(|bundle| bundle.manifest.kind == kind).collect();
-    match (found.len(), found.pop()) {
-        (1, Some(only)) => Ok(only),
-        (0, _) => Err(UserError::at(models, format!("there is no {word} here"), NO_BUNDLE).into()),
-        (count, _) => {
+    let (mut found, mut damaged) = (Vec::new(), None);
+    for bundle in bundle::list(models) {
+        match bundle {
+            Ok(bundle) if bundle.manifest.kind == kind => found.push(bundle),
+            Ok(_) => {}
+            Err(error) => damaged = damaged.or(Some(error)),
+        }
+    }
+    match (found.len(), found.pop(), damaged) {
+        (1, Some(only), _) => Ok(only),
+        (0, _, Some(error)) => Err(error.into()),
+        (0, ..) => Err(UserError::at(models, format!("there is no {word} here"), NO_BUNDLE).into()),
+        (count, ..) => {
             let cause = format!("there are {count} bundles that are a {word}");
             Err(UserError::at(models, cause, format!("choose one with --{word} NAME")).into())
         }
@@ -118,11 +125,30 @@ pub fn bundles(options: &LanguageOptions) -> Result<[Bundle; 2]> {
     Ok([detector, bundle_of(&models, BundleKind::Segmenter, &options.segmenter)?])
 }
 
+/// Smaller tiles show nothing whole, pixels.
+const LEAST_TILE_PX: u32 = 64;
+
+/// Refuses a share outside of 0 to `most`.
+pub(crate) fn must_be_share(what: &str, value: f64, most: f64) -> Result<()> {
+    if (0.0..=most).contains(&value) {
+        return Ok(());
+    }
+    Err(UserError::new(format!("{what} {value}"), "cannot be", format!("give a number from 0 to {most}")).into())
+}
+
 /// Loads both networks; `threads` for each computation, 0 for all.
 ///
 /// # Errors
 /// Where one is missing, damaged or refused.
 pub fn wing(options: &LanguageOptions, threads: usize) -> Result<Wing> {
+    must_be_share("box threshold", options.box_threshold.into(), 1.0)?;
+    must_be_share("overlap of tiles", options.tile_overlap, 0.9)?;
+    if (1..LEAST_TILE_PX).contains(&options.tile_px) {
+        let cause = format!("is less than {LEAST_TILE_PX} pixels");
+        return Err(
+            UserError::new(format!("tile of {}", options.tile_px), cause, "take larger tiles, or 0: none").into()
+        );
+    }
     let [detector, segmenter] = bundles(options)?;
     let engine = engine(options.runtime, &options.device, threads)?;
     tracing::info!("{}: {} and {}", engine.description(), detector.manifest.name, segmenter.manifest.name);

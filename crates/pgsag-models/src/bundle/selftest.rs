@@ -65,20 +65,41 @@ pub fn verify_answers(bundle: &Bundle, engine: &Engine) -> Result<Vec<Comparison
     let cure = "export the bundle again";
     let text = std::fs::read_to_string(&path).map_err(|cause| ModelError::file(&path, cause, cure))?;
     let image = &bundle.manifest.image;
+    let refused = || ModelError::file(&path, "its cases are none, or do not hold together", cure);
     match bundle.manifest.kind {
         BundleKind::Detector => {
             let file: Cases<DetectorCase> =
                 serde_json::from_str(&text).map_err(|cause| ModelError::file(&path, cause, cure))?;
+            let is_sound = |case: &DetectorCase| !case.boxes.is_empty() && case.scores.len() == case.boxes.len();
+            if file.cases.is_empty()
+                || !file.cases.iter().all(|case| is_sound(case) && is_sane(case.width, case.height))
+            {
+                return Err(refused());
+            }
             let detector = bundle.detector(engine)?;
             file.cases.iter().map(|case| compare_detector(&detector, image, case)).collect()
         }
         BundleKind::Segmenter => {
             let file: Cases<SegmenterCase> =
                 serde_json::from_str(&text).map_err(|cause| ModelError::file(&path, cause, cure))?;
+            let is_sound = |case: &SegmenterCase| {
+                let count = case.points.len();
+                count > 0 && [case.labels.len(), case.masks.len(), case.scores.len()] == [count; 3]
+            };
+            if file.cases.is_empty()
+                || !file.cases.iter().all(|case| is_sound(case) && is_sane(case.width, case.height))
+            {
+                return Err(refused());
+            }
             let segmenter = bundle.segmenter(engine)?;
             file.cases.iter().map(|case| compare_segmenter(&segmenter, case)).collect()
         }
     }
+}
+
+/// Whether a picture of a self-test has a size that a network could be given.
+fn is_sane(width: u32, height: u32) -> bool {
+    [width, height].iter().all(|side| (1..=super::LARGEST_SIDE).contains(side))
 }
 
 fn compare_detector(

@@ -81,3 +81,24 @@ fn a_bundle_of_the_other_kind_is_refused() {
     let text = bundle.segmenter(&golden::engine()).err().expect("another size").to_string();
     assert!(text.contains("made for another size") && text.contains("1024 x 1024"), "{text}");
 }
+
+#[test]
+fn a_self_test_that_tests_nothing_is_refused() {
+    for name in ["tiny-dino", "tiny-sam2"] {
+        let (_kept, folder) = copy(name);
+        let path = folder.join("selftest.json");
+        let mut test: serde_json::Value =
+            serde_json::from_str(&std::fs::read_to_string(&path).expect("there")).expect("JSON");
+        let refused = |test: &serde_json::Value| {
+            std::fs::write(&path, test.to_string()).expect("written");
+            let bundle = Bundle::open(&folder).expect("a manifest");
+            let text = verify_answers(&bundle, &golden::engine()).expect_err("nothing to compare").to_string();
+            assert!(text.contains("do not hold together"), "{text}");
+        };
+        test["cases"][1]["scores"] = serde_json::json!([]);
+        refused(&test);
+        test["cases"][1]["width"] = 4_000_000_000_u32.into();
+        refused(&test);
+        refused(&serde_json::json!({ "cases": [] }));
+    }
+}

@@ -37,9 +37,10 @@ fn foreign_operators_old_opsets_and_doubles_are_refused() {
     double.elements.insert("grid".into(), Element::F64);
     assert!(refusal(&double).contains("64 bits"));
     assert!(
-        refusal(&Graph { external_files: vec!["../w".into()], ..Graph::default() }).contains("outside of its folder")
+        refusal(&Graph { external_files: ["../w".into()].into(), ..Graph::default() })
+            .contains("outside of its folder")
     );
-    assert!(refusal(&Graph { external_files: vec!["w".into()], ..Graph::default() }).contains("not beside it"));
+    assert!(refusal(&Graph { external_files: ["w".into()].into(), ..Graph::default() }).contains("not beside it"));
 }
 
 #[test]

@@ -29,3 +29,21 @@ fn lengths_are_not_believed() {
     assert!(read(b"").expect_err("empty").contains("no graph"));
     assert!(read(b"not an onnx file at all").is_err());
 }
+
+/// A field of a message: its number and its bytes.
+fn field(number: u8, content: &[u8]) -> Vec<u8> {
+    [&[number << 3 | 2, u8::try_from(content.len()).expect("short")], content].concat()
+}
+
+#[test]
+fn weights_and_operators_inside_of_branches_are_seen() {
+    let place = [field(1, b"location"), field(2, b"../secret")].concat();
+    let attribute = [field(1, b"value"), field(5, &field(13, &place))].concat();
+    let constant = [field(4, b"Constant"), field(5, &attribute)].concat();
+    let branch = [field(1, b"then_branch"), field(6, &field(1, &constant))].concat();
+    let choice = [field(4, b"If"), field(5, &branch)].concat();
+    let output = field(12, &[field(1, b"y"), field(2, &field(1, &[]))].concat());
+    let graph = read(&field(7, &[field(1, &choice), output].concat())).expect("a graph");
+    assert_eq!(graph.external_files, ["../secret".to_owned()].into());
+    assert_eq!(graph.nodes.iter().map(|node| node.operator.as_str()).collect::<Vec<_>>(), ["Constant", "If"]);
+}

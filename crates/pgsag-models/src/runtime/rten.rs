@@ -32,7 +32,8 @@ impl Runtime for Rten {
             let what = format!("rten cannot load it ({what})");
             ModelError::refused(path, what, "export it with tools/export_models.py, or choose --runtime ort")
         };
-        let model = ModelOptions::with_all_ops().load_file(path).map_err(|error| refused(&error))?;
+        let load = || ModelOptions::with_all_ops().load_file(path);
+        let model = apart(load).ok_or_else(|| refused(&"it panicked"))?.map_err(|error| refused(&error))?;
         let pool = (options.threads > 0).then(|| Arc::new(ThreadPool::with_num_threads(options.threads)));
         Ok(Box::new(Loaded { graph, model, pool, turn: Mutex::new(()) }))
     }
@@ -43,6 +44,12 @@ struct Loaded {
     model: rten::Model,
     pool: Option<Arc<ThreadPool>>,
     turn: Mutex<()>,
+}
+
+/// On a thread of its own; `None` where it panics. A worker of another pool that waits for rten's would begin more work
+/// meanwhile, one photograph within the other.
+fn apart<T: Send>(work: impl FnOnce() -> T + Send) -> Option<T> {
+    std::thread::scope(|scope| scope.spawn(work).join()).ok()
 }
 
 fn stopped(what: impl std::fmt::Display) -> ModelError {
@@ -69,11 +76,8 @@ impl Session for Loaded {
         let mut options = RunOptions::default();
         options.thread_pool.clone_from(&self.pool);
         let _turn = self.turn.lock().map_err(stopped)?;
-        // On a thread of its own: a worker of another pool that waits for rten's would begin more work meanwhile, one
-        // photograph within the other.
         let run = || self.model.run(inputs, &outputs, Some(options));
-        let done = std::thread::scope(|scope| scope.spawn(run).join());
-        let values = done.map_err(|_| stopped("it panicked"))?.map_err(stopped)?;
+        let values = apart(run).ok_or_else(|| stopped("it panicked"))?.map_err(stopped)?;
         values.into_iter().map(tensor_of).collect()
     }
 }

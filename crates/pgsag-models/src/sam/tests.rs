@@ -43,15 +43,17 @@ pub(crate) fn likeness(a: &Map<bool>, b: &Map<bool>) -> f64 {
     if either == 0 { 1.0 } else { count(|a, b| a && b) as f64 / either as f64 }
 }
 
+/// By the number that the network knows them by.
+const KINDS: [PointKind; 4] = [PointKind::Negative, PointKind::Positive, PointKind::Upper, PointKind::Lower];
+
 #[test]
 fn points_and_boxes_give_the_masks_that_pytorch_gives() {
     let segmenter = golden::bundle("tiny-sam2").segmenter(&golden::engine()).expect("a segmenter");
     assert!(segmenter.has_single());
     for click in golden::read::<Goldens>("runs.json").clicks {
         let [width, height] = click.size;
-        let kinds = [PointKind::Negative, PointKind::Positive, PointKind::Upper, PointKind::Lower];
         let points =
-            click.points.iter().zip(&click.labels).map(|(at, kind)| (*at, kinds[usize::from(*kind)])).collect();
+            click.points.iter().zip(&click.labels).map(|(at, kind)| (*at, KINDS[usize::from(*kind)])).collect();
         let embedding = segmenter.embed(&test_picture(click.seed, width, height)).expect("an embedding");
         let found = &segmenter.decode(&embedding, &[PointPrompt { points }]).expect("masks")[0];
         for (token, (wanted, score)) in click.masks.iter().zip(&click.scores).enumerate() {
@@ -61,6 +63,64 @@ fn points_and_boxes_give_the_masks_that_pytorch_gives() {
             assert!(like >= 0.999, "seed {}, token {token}: {like}", click.seed);
             assert!((found.scores[token] - score).abs() <= 1e-4 * score.abs().max(1.0));
         }
+    }
+}
+
+#[derive(serde::Deserialize)]
+struct Sampled {
+    step: usize,
+    values: Vec<f32>,
+    largest: f32,
+}
+
+impl Sampled {
+    /// The largest difference, as a share of the largest value.
+    fn error(&self, found: &[f32]) -> f32 {
+        assert_eq!(found.len().div_ceil(self.step), self.values.len());
+        let pairs = found.iter().step_by(self.step).zip(&self.values);
+        pairs.map(|(found, wanted)| (found - wanted).abs()).fold(0.0, f32::max) / self.largest
+    }
+}
+
+#[derive(serde::Deserialize)]
+struct Parity {
+    name: String,
+    seed: u64,
+    points: Vec<Vec<[f32; 2]>>,
+    labels: Vec<Vec<u8>>,
+    levels: Vec<Sampled>,
+    masks: Sampled,
+    scores: Vec<f32>,
+}
+
+#[derive(serde::Deserialize)]
+struct ParityGoldens {
+    segmenter: Vec<Parity>,
+}
+
+#[test]
+fn embeddings_and_all_four_tokens_agree_with_pytorch() {
+    let segmenter = golden::bundle("tiny-sam2").segmenter(&golden::engine()).expect("a segmenter");
+    let (side, cases) = (segmenter.square(), golden::read::<ParityGoldens>("parity.json").segmenter);
+    assert_eq!(cases.len(), 6);
+    for case in cases {
+        let embedding = segmenter.embed(&test_picture(case.seed, side, side)).expect("an embedding");
+        assert_eq!(embedding.levels.len(), case.levels.len());
+        let levels = embedding.levels.iter().zip(&case.levels);
+        let encoder = levels
+            .map(|(found, wanted)| wanted.error(found.as_floats("level", 4).expect("floats")))
+            .fold(0.0, f32::max);
+        let prompt = |(points, labels): (&Vec<[f32; 2]>, &Vec<u8>)| PointPrompt {
+            points: points.iter().zip(labels).map(|(at, label)| (*at, KINDS[usize::from(*label)])).collect(),
+        };
+        let prompts: Vec<PointPrompt> = case.points.iter().zip(&case.labels).map(prompt).collect();
+        let found = segmenter.decode(&embedding, &prompts).expect("masks");
+        assert!(found.iter().all(|masks| masks.masks.len() == 4));
+        let decoder = case.masks.error(&found.iter().flat_map(|masks| masks.masks.concat()).collect::<Vec<f32>>());
+        let scores = found.iter().flat_map(|masks| &masks.scores).zip(&case.scores);
+        let scores = scores.map(|(found, wanted)| (found - wanted).abs() / wanted.abs().max(1.0)).fold(0.0, f32::max);
+        eprintln!("{}: encoder {encoder:.1e}, masks {decoder:.1e}, scores {scores:.1e}", case.name);
+        assert!(encoder <= 1e-4 && decoder <= 1e-4 && scores <= 1e-4, "{}", case.name);
     }
 }
 

@@ -446,23 +446,45 @@ def everything(encoder, decoder, seed, width, height, layers, side=6, overlap=0.
             "masks": [{"counts": rle_of(m[2]), "iou": m[1]} for m in masks]}
 
 
-def make_parity(tokenizer, detector):
-    """Batches and padding, which the bundle's own self-test does not hold."""
+def make_parity(tokenizer, detector, segmenter):
+    """The networks alone, every way that they are fed; nothing is resized."""
     short, long = (tokenizer.encode(text).ids for text in ("buildings.", "a red roof . small houses . trees ."))
-    pictures = [export.normalised(export.test_picture(seed, 128, 96)) for seed in (41, 42)]
-    padded = torch.zeros(1, 3, 128, 160)
-    padded[:, :, :96, :128] = pictures[0]
-    cover = torch.zeros((1, 128, 160), dtype=torch.long)
-    cover[:, :96, :128] = 1
+    padded_text = short + [0] * (len(long) - len(short))
     cases = []
-    whole = torch.ones((1, 96, 128), dtype=torch.long)
-    text = torch.tensor([long, short + [0] * (len(long) - len(short))])
-    for name, pixels, mask, ids in [("padded picture", padded, cover, torch.tensor([short])), ("batch of two, padded text", torch.cat(pictures), whole.repeat(2, 1, 1), text)]:
+    for name, seeds, (w, h), (wide, high), texts in [
+        ("short text", [43], (128, 96), (128, 96), [short]), ("long text", [44], (128, 96), (128, 96), [long]),
+        ("short text, odd size", [45], (113, 157), (113, 157), [short]), ("long text, odd size", [46], (113, 157), (113, 157), [long]),
+        ("padded picture", [41], (128, 96), (160, 128), [short]), ("odd picture, padded", [47], (113, 91), (160, 157), [long]),
+        ("batch of two, padded text", [41, 42], (128, 96), (128, 96), [long, padded_text]),
+    ]:
+        pixels, cover = torch.zeros(len(seeds), 3, high, wide), torch.zeros((len(seeds), high, wide), dtype=torch.long)
+        for row, seed in enumerate(seeds):
+            pixels[row, :, :h, :w] = export.normalised(export.test_picture(seed, w, h))[0]
+        cover[:, :h, :w] = 1
+        ids = torch.tensor(texts)
         with torch.no_grad():
-            found = detector(pixel_values=pixels, input_ids=ids, token_type_ids=torch.zeros_like(ids), attention_mask=(ids > 0).long(), pixel_mask=mask)
-        cases.append({"name": name, "seeds": [41, 42][: len(ids)], "picture": [128, 96], "canvas": [pixels.shape[3], pixels.shape[2]], "ids": ids.tolist(),
+            found = detector(pixel_values=pixels, input_ids=ids, token_type_ids=torch.zeros_like(ids), attention_mask=(ids > 0).long(), pixel_mask=cover)
+        cases.append({"name": name, "seeds": seeds, "picture": [w, h], "canvas": [wide, high], "ids": texts,
                       "boxes": export.rounded(found.pred_boxes.numpy()), "scores": export.rounded(found.logits.max(-1).values.numpy())})
-    write("parity.json", cases)
+    write("parity.json", {"detector": cases, "segmenter": segmenter_parity(segmenter)})
+
+
+def segmenter_parity(segmenter):
+    """Embeddings and the masks of all four tokens, sampled; one decoder call per case."""
+    encoder, decoder = export.Encoder(segmenter).eval(), export.Decoder(segmenter).eval()
+    cases = []
+    for name, seed, points, labels in [
+        ("one box", 51, [[[20, 30], [90, 110]]], [[2, 3]]), ("three boxes", 52, [[[5, 9], [60, 70]], [[40, 2], [127, 50]], [[0, 0], [128, 128]]], [[2, 3]] * 3),
+        ("one point", 53, [[[64, 40]]], [[1]]), ("two points and one that is not it", 54, [[[30, 30], [50, 90], [100, 20]]], [[1, 1, 0]]),
+        ("a box and a point", 55, [[[10, 20], [100, 120], [50, 60]]], [[2, 3, 1]]), ("sixteen points", 56, [[[8 * i + 3, 100 - 5 * i]] for i in range(16)], [[1]] * 16),
+    ]:
+        with torch.no_grad():
+            levels = encoder(export.normalised(export.test_picture(seed, SQUARE, SQUARE)))
+        logits, scores = decode(decoder, levels, points, labels)
+        sampled = lambda values, step: {"step": step, "values": export.rounded(values.reshape(-1)[::step].numpy()), "largest": float(values.abs().max())}
+        cases.append({"name": name, "seed": seed, "points": points, "labels": labels, "levels": [sampled(level, level.numel() // 100) for level in levels],
+                      "masks": sampled(logits, 37 * len(points)), "scores": export.rounded(scores.reshape(-1).numpy())})
+    return cases
 
 
 def main():
@@ -472,7 +494,7 @@ def main():
     make_words(tokenizer)
     make_pixels()
     make_shapes()
-    make_parity(tokenizer, detector)
+    make_parity(tokenizer, detector, segmenter)
     make_runs(tokenizer, detector, segmenter)
 
 

@@ -50,6 +50,7 @@ pub(super) fn run(command: &MaskCommand, json: bool) -> Result<()> {
     let asker = Asker::new(args, edits)?;
     std::fs::create_dir_all(output).with_context(|| output.display().to_string())?;
     let mut records = read_records(output);
+    records.retain(|name, _| images.join(name).is_file() && mask_path(output, name).is_file());
     let cancel = cancel_on_signals()?;
     let made = make_all(&asker, args, &images, output, &names, &mut records, &cancel, json);
     write_records(output, &asker.story, &records)?;
@@ -195,6 +196,7 @@ struct Asker {
 impl Asker {
     fn new(args: &MaskArgs, edits: Option<Edits>) -> Result<Self> {
         let options = options(args)?;
+        networks::must_be_share("--text-threshold", args.text_threshold.into(), 1.0)?;
         let threads = if args.networks.threads == 0 { machine::thread_count() } else { args.networks.threads };
         let prompt = Prompt {
             text: args.prompt.clone(),
@@ -270,7 +272,7 @@ impl Asker {
             }
             Networks::Segmenter(segmenter) => {
                 let edits = self.edits.as_ref().and_then(|edits| edits.of(name)).unwrap_or_default();
-                (edits::apply(segmenter, image, before, edits)?, Vec::new())
+                (edits::apply(segmenter, (name, image), before, edits)?, Vec::new())
             }
         };
         mend(&mut mask, &self.mending);

@@ -109,6 +109,12 @@ fn verify(models: &Path, which: Option<&str>, args: &ModelsArgs, json: bool) -> 
     Err(UserError::at(&folder, cause, "export it with tools/export_models.py, or choose another --runtime").into())
 }
 
+/// Whether a name is one folder, here and on any system.
+fn is_plain(name: &str) -> bool {
+    let is_harmless = |letter: char| letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_' | '.');
+    !name.is_empty() && !name.starts_with('.') && name.chars().all(is_harmless)
+}
+
 /// Puts a finished folder in its place.
 fn publish(from: &Path, to: &PathBuf) -> Result<()> {
     if to.exists() {

@@ -314,8 +314,8 @@ fn by_language(
     shares.sort_by(f64::total_cmp);
     let median = shares.get(shares.len() / 2).copied().unwrap_or(0.0);
     if !PLAUSIBLE.contains(&median) {
-        let text = "half of the masks by language mark more than";
-        job.warn(format!("{text} {:.2} % of their image: implausible, look at 03-masks", 100.0 * median));
+        let text = "the middle one of the masks by language marks";
+        job.warn(format!("{text} {:.2} % of its image: implausible, look at 03-masks", 100.0 * median));
     }
     Ok(states)
 }

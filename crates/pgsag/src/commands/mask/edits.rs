@@ -68,12 +68,23 @@ pub(super) fn mask_before(path: &Path) -> Result<Option<Map<bool>>> {
 }
 
 /// Asks for each thing, in the file's order.
-pub(super) fn apply(segmenter: &Sam2, image: &Image, before: Option<Map<bool>>, edits: &[Edit]) -> Result<Map<bool>> {
+pub(super) fn apply(
+    segmenter: &Sam2,
+    (name, image): (&str, &Image),
+    before: Option<Map<bool>>,
+    edits: &[Edit],
+) -> Result<Map<bool>> {
     let size = (image.width, image.height);
     let mut mask = before.filter(|mask| (mask.width, mask.height) == size);
     let mut mask = mask.take().unwrap_or_else(|| Map::filled(size.0, size.1, false));
     let embedding = segmenter.embed(image)?;
+    let is_inside = |[x, y]: [f32; 2]| (0.0..=size.0 as f32).contains(&x) && (0.0..=size.1 as f32).contains(&y);
     for edit in edits {
+        if let Some(at) = edit.positive.iter().chain(&edit.negative).find(|at| !is_inside(**at)) {
+            let place = format!("the point {at:?}");
+            let cause = format!("lies outside of {name}, {} x {} pixels", size.0, size.1);
+            return Err(UserError::new(place, cause, "points are pixels of the photograph").into());
+        }
         let mut prompt = edit.corners.map(|corners| PointPrompt::from_box(&corners)).unwrap_or_default();
         prompt.points.extend(edit.positive.iter().map(|at| (*at, PointKind::Positive)));
         prompt.points.extend(edit.negative.iter().map(|at| (*at, PointKind::Negative)));

@@ -6,10 +6,10 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result};
 use pgsag_models::Bundle;
-use pgsag_models::bundle::{BundleFile, MANIFEST, Manifest};
+use pgsag_models::bundle::{BundleFile, MANIFEST, Manifest, sha256_of};
 
 use super::super::{existing, print};
-use super::{KNOWN, how_to_get, publish};
+use super::{KNOWN, how_to_get, is_plain, publish};
 use crate::error::UserError;
 
 /// Whence, unless `HF_ENDPOINT` says otherwise.
@@ -53,16 +53,14 @@ pub(super) fn run(models: &Path, what: &str, accept_license: bool) -> Result<()>
     print(&format!("{} is there; `pgsag models verify {}` tries it", manifest.name, manifest.name))
 }
 
-/// Whether a name is one folder, here and on any system.
-fn is_plain(name: &str) -> bool {
-    let is_harmless = |letter: char| letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_' | '.');
-    !name.is_empty() && !name.starts_with('.') && name.chars().all(is_harmless)
-}
-
 /// Goes on where an earlier attempt stopped; a token travels by standard input, where no list of processes shows it.
 fn download(url: &str, target: &Path, file: &BundleFile) -> Result<()> {
-    if std::fs::metadata(target).is_ok_and(|found| found.len() == file.bytes) {
-        return Ok(());
+    if std::fs::metadata(target).is_ok_and(|found| found.len() >= file.bytes) {
+        if sha256_of(target)?.eq_ignore_ascii_case(&file.sha256) {
+            return Ok(());
+        }
+        // Something else came last time: nothing to go on with.
+        std::fs::remove_file(target).with_context(|| target.display().to_string())?;
     }
     let cure = "copy the files by hand (docs/models.md), or set HF_ENDPOINT to a mirror";
     let mut curl = Command::new("curl")

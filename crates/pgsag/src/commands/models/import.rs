@@ -9,7 +9,7 @@ use pgsag_models::onnx::Graph;
 use pgsag_models::picture::PictureRules;
 
 use super::super::{existing, print};
-use super::publish;
+use super::{is_plain, publish};
 use crate::error::UserError;
 
 /// ImageNet's mean and deviation, which every network here was trained with.
@@ -34,7 +34,13 @@ pub(super) fn run(
         (manifest_of(&files, name, size, licence)?, files)
     };
     let name = name.unwrap_or(&manifest.name).to_owned();
+    if !is_plain(&name) {
+        return Err(UserError::new(format!("--name {name:?}"), "cannot be a folder's name", "give another").into());
+    }
     let part = models.join(format!(".{name}.part"));
+    if part.is_dir() {
+        std::fs::remove_dir_all(&part).with_context(|| part.display().to_string())?;
+    }
     std::fs::create_dir_all(&part).with_context(|| part.display().to_string())?;
     for source in &sources {
         let target = part.join(source.file_name().unwrap_or_default());
