@@ -29,11 +29,14 @@ pub struct RefineOptions {
     pub min_change_px: f32,
     /// Side of the superpixels, pixels.
     pub superpixel_px: u32,
+    /// With masks by language: all that the segmenter sees in an image, queried by the points, fills in what they leave
+    /// unknown. A thousand clicks per image.
+    pub everything: bool,
 }
 
 impl Default for RefineOptions {
     fn default() -> Self {
-        Self { band_px: 2.0, overlap_px: 4.0, correct: true, min_change_px: 6.0, superpixel_px: 8 }
+        Self { band_px: 2.0, overlap_px: 4.0, correct: true, min_change_px: 6.0, superpixel_px: 8, everything: false }
     }
 }
 
@@ -104,6 +107,27 @@ pub fn drawn_labels(drawing: &Drawing<'_>, image: &Image, options: &RefineOption
         }
     }
     drawn
+}
+
+/// Least share of a segment's pixels of which the points must know something for it to be queried.
+const MIN_QUERIED: f32 = 0.2;
+
+/// Segments of a model, queried by the points: pixels of which nothing is known take the label on which at least
+/// `agreement` of the known ones of their segment agree. `segment`: number of each pixel's, 0 for none.
+pub fn fill_segments(drawn: &mut Map<Label>, segment: &Map<u32>, agreement: f32) {
+    let count = segment.values.iter().max().map_or(0, |last| *last as usize + 1);
+    let mut counts = vec![[0f32; 3]; count];
+    for (segment, label) in segment.values.iter().zip(&drawn.values) {
+        counts[*segment as usize][*label as usize] += 1.0;
+    }
+    for (segment, label) in segment.values.iter().zip(&mut drawn.values) {
+        let [unknown, background, building] = counts[*segment as usize];
+        let known = background + building;
+        let is_sure = known >= MIN_QUERIED * (known + unknown) && building.max(background) >= agreement * known;
+        if *segment > 0 && *label == Label::Unknown && is_sure {
+            *label = if building > background { Label::Building } else { Label::Background };
+        }
+    }
 }
 
 /// Makes labels unknown in squares where hardly any of their points was measured by the view itself.
@@ -281,6 +305,32 @@ mod tests {
         (10..30).for_each(|y| (10..42).for_each(|x| stray.set(x, y, Label::Building)));
         (0..4).for_each(|y| (0..4).for_each(|x| stray.set(x, y, Label::Building)));
         assert_eq!(corrected(&given, &stray, 1.0), given);
+    }
+
+    #[test]
+    fn segments_take_the_label_of_the_points_in_them() {
+        // Four columns: a roof and a garden that points know well, one on which they disagree, one that they hardly know.
+        let segment = Map { width: 40, height: 10, values: (0..400).map(|at| at % 40 / 10 + 1).collect() };
+        let mut drawn = Map::filled(40, 10, Label::Unknown);
+        for at in (0..400).step_by(3) {
+            let (column, y) = (at % 40 / 10, at / 40);
+            drawn.values[at] = match (column, y) {
+                (0, _) => Label::Building,
+                (1, _) | (2, 5..) => Label::Background,
+                (2, _) => Label::Building,
+                (_, 0) => Label::Building,
+                _ => Label::Unknown,
+            };
+        }
+        let before = drawn.clone();
+        fill_segments(&mut drawn, &segment, 0.8);
+        for (at, label) in drawn.values.iter().enumerate() {
+            let wanted = [Label::Building, Label::Background, before.values[at], before.values[at]][at % 40 / 10];
+            assert_eq!(*label, wanted, "{at}");
+        }
+        let mut alone = before.clone();
+        fill_segments(&mut alone, &Map::filled(40, 10, 0), 0.8);
+        assert_eq!(alone, before);
     }
 
     #[test]

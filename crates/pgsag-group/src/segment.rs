@@ -27,6 +27,15 @@ pub trait Segmenter: Sync {
     /// # Errors
     /// [`SegmentError`] where the model cannot be asked.
     fn segment(&self, image: &Image, ask: &Ask<'_>) -> Result<Vec<Map<bool>>, SegmentError>;
+
+    /// The number, from 1, of the segment that each pixel belongs to, whatever it shows; 0 for none. Of several the
+    /// smallest counts. `None`: this model cannot tell.
+    ///
+    /// # Errors
+    /// [`SegmentError`] where the model cannot be asked.
+    fn everything(&self, _image: &Image) -> Result<Option<Map<u32>>, SegmentError> {
+        Ok(None)
+    }
 }
 
 /// Why there is no mask.

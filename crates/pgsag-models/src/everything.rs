@@ -4,7 +4,7 @@ use pgsag_scene::{Image, Map};
 use serde::{Deserialize, Serialize};
 
 use crate::boxes::{Corners, Window, crops, point_grid, suppress};
-use crate::enlarge::{mark, outline};
+use crate::enlarge::{Logits, mark, outline, rows};
 use crate::error::ModelError;
 use crate::sam::{MaskLogits, PointKind, PointPrompt, Sam2};
 
@@ -57,7 +57,22 @@ pub struct Segment {
 impl Segment {
     /// Adds it to a mask of the photograph's size.
     pub fn mark(&self, mask: &mut Map<bool>) {
-        mark(crate::enlarge::Logits { size: self.size, values: &self.logits }, mask, self.window);
+        mark(self.small(), mask, self.window);
+    }
+
+    /// Writes a number where it is, into a map of the photograph's size.
+    pub fn paint(&self, numbers: &mut Map<u32>, number: u32) {
+        let [x0, y0, x1, y1] = self.window;
+        let stride = numbers.width as usize;
+        rows(self.small(), x1 - x0, y1 - y0, |y, values| {
+            let start = (y0 + y) as usize * stride + x0 as usize;
+            let row = numbers.values[start..start + values.len()].iter_mut().zip(values);
+            row.filter(|(_, value)| **value > 0.0).for_each(|(own, _)| *own = number);
+        });
+    }
+
+    fn small(&self) -> Logits<'_> {
+        Logits { size: self.size, values: &self.logits }
     }
 }
 
@@ -134,7 +149,7 @@ fn that_hold(masks: MaskLogits, window: Window, image: [u32; 2], options: &Every
         if score <= options.least_iou {
             continue;
         }
-        let small = crate::enlarge::Logits { size, values: &logits };
+        let small = Logits { size, values: &logits };
         let outline = outline(small, x1 - x0, y1 - y0, options.stability_offset);
         let shift = [x0, y0, x0, y0].map(|side| side as f32);
         let corners: Corners = std::array::from_fn(|side| outline.corners[side] + shift[side]);

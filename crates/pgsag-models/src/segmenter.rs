@@ -5,6 +5,7 @@ use pgsag_scene::{Image, Map};
 
 use crate::enlarge::mark;
 use crate::error::ModelError;
+use crate::everything::{EverythingOptions, segments};
 use crate::grounding::Prompt;
 use crate::language::LanguageSegmenter;
 use crate::sam::{PointKind, PointPrompt};
@@ -45,6 +46,15 @@ impl Segmenter for Wing {
             Ask::Points { positive, negative } => self.candidates(image, positive, negative)?,
         })
     }
+
+    fn everything(&self, image: &Image) -> Result<Option<Map<u32>>, SegmentError> {
+        let go_on = || Ok::<(), SegmentErrorOf>(());
+        let mut found = segments(&self.networks.segmenter, image, &EverythingOptions::default(), &go_on)?;
+        found.sort_by_key(|segment| std::cmp::Reverse(segment.area_px));
+        let mut number = Map::filled(image.width, image.height, 0);
+        (1..).zip(&found).for_each(|(own, segment)| segment.paint(&mut number, own));
+        Ok(Some(number))
+    }
 }
 
 impl Wing {
@@ -69,5 +79,26 @@ impl Wing {
             }
         }
         Ok(masks)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::test_picture;
+
+    #[test]
+    fn words_points_and_everything_are_answered_at_the_image_s_size() {
+        let prompt = Prompt { box_threshold: 0.5, ..Prompt::default() };
+        let wing = Wing { networks: crate::language::tests::networks(), prompt };
+        let image = test_picture(11, 220, 150);
+        let named = wing.segment(&image, &Ask::Text("buildings.")).expect("an answer");
+        let ask = Ask::Points { positive: &[[50.0, 60.0]], negative: &[[5.0, 5.0]] };
+        let candidates = wing.segment(&image, &ask).expect("an answer");
+        assert_eq!((named.len(), candidates.len()), (1, 4));
+        assert!(named.iter().chain(&candidates).all(|mask| (mask.width, mask.height) == (220, 150)));
+        let numbers = wing.everything(&image).expect("an answer").expect("it can");
+        assert_eq!((numbers.width, numbers.height), (220, 150));
+        assert!(wing.segment(&image, &Ask::Text(" ")).is_err());
     }
 }

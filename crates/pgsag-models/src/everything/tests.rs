@@ -43,6 +43,12 @@ fn a_grid_of_clicks_gives_the_reference_s_masks() {
         let go_on = || Ok::<(), ModelError>(());
         let found = segments(&segmenter, &test_picture(run.seed, width, height), &options, &go_on).expect("segments");
         assert_eq!(found.len(), run.masks.len());
+        let (mut union, mut numbers) = (Map::filled(width, height, false), Map::filled(width, height, 0));
+        (1..).zip(&found).for_each(|(number, segment)| {
+            segment.mark(&mut union);
+            segment.paint(&mut numbers, number);
+        });
+        assert!(union.values.iter().zip(&numbers.values).all(|(inside, number)| *inside == (*number > 0)));
         for wanted in &run.masks {
             let truth = rle::decode(&wanted.counts, width, height).expect("a mask");
             let best = found.iter().map(|segment| {

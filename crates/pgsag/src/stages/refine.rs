@@ -1,11 +1,14 @@
 //! `refine`: masks, set right by the voted points, to the pixel classes that training works with, per kind of group.
 
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Result;
 use pgsag_group::edges::inner_edges;
-use pgsag_group::refine::{Drawing, RefineOptions, background_classes, building_classes, corrected, drawn_labels};
+use pgsag_group::refine::{
+    Drawing, RefineOptions, background_classes, building_classes, corrected, drawn_labels, fill_segments,
+};
 use pgsag_group::surface::{Seen, Surface};
 use pgsag_group::{GroupKind, Label, Segmenter};
 use pgsag_scene::files::raster::{decode_mask, encode_mask_png};
@@ -96,15 +99,19 @@ pub fn building_of(stage_folder: &Path, view_index: usize) -> Result<Option<Map<
     Ok(classes_of(stage_folder, view_index, GroupKind::Building)?.map(active))
 }
 
+/// Small masks of all that a model sees in an image: three for each of a thousand clicks.
+const SEGMENTS_BYTES: u64 = 800 << 20;
+
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let imported = Imported::read(&run.stage_folder("import"))?;
     let pixels = imported.scene.views.iter().map(|view| view.camera.pixel_count() as u64).max().unwrap_or(0);
     let points = std::fs::metadata(run.stage_folder("vote").join("votes.bin")).map_or(0, |found| found.len() / 9);
     let threads = rayon::current_num_threads() as u64;
     let config = config(run)?;
+    let segments = if config.refine.everything { SEGMENTS_BYTES } else { 0 };
     let models = if config.masks == "language" { crate::networks::memory_bytes(&config.language) } else { 0 };
     Ok(batches(imported.scene.views.len(), &["import", "coarse", "masks", "vote"], |count| Cost {
-        memory_bytes: (64 << 20) + 64 * pixels * threads + 400 * points + models,
+        memory_bytes: (64 << 20) + 64 * pixels * threads + 400 * points + models + segments,
         disk_bytes: count as u64 * pixels / 16,
         cpu_secs: count as f64 * (pixels as f64 * 600e-9 + points as f64 * 50e-9),
     }))
@@ -132,14 +139,23 @@ pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
     let witnesses = coarse.witnesses(&config);
     let pencil = Pencil { witnesses, surface, labels, photographs, imported: &imported };
     let asker = segmenter.filter(|_| is_used).map(|segmenter| Asker::new(job, &config, &pencil, segmenter));
-    let masks = job.input("masks");
+    let all = segmenter.filter(|_| is_used && config.refine.everything);
+    let (masks, turn) = (job.input("masks"), Mutex::new(()));
     let done = AtomicU64::new(0);
     let views = batch_views(job, view_count);
     let refined = |&view: &usize| -> Result<Option<(usize, u64, u64)>> {
         job.check()?;
         let Some(given) = mask_of(&masks, view, states[view])? else { return Ok(None) };
         let asked = asker.as_ref().map(|asker| asker.mended(view, &given)).transpose()?;
-        let mask = pencil.corrected(view, asked.as_ref().unwrap_or(&given), &config.refine)?;
+        let segments = match all {
+            Some(segmenter) => {
+                // One view after another: a thousand masks are held at once.
+                let _turn = turn.lock().map_err(|_| anyhow::anyhow!("a thread broke"))?;
+                segmenter.everything(pencil.photographs.whole(view)?.as_ref())?
+            }
+            None => None,
+        };
+        let mask = pencil.corrected(view, asked.as_ref().unwrap_or(&given), segments.as_ref(), &config.refine)?;
         write_classes(job, view, &mask, &config.refine)?;
         if let Some(edges) = pencil.inner_edges(view, &mask, instances_of(&masks, view)?.as_ref(), &config.refine) {
             write(&job.output().join(view_file(view, EDGES)), &encode_mask_png(&edges))?;
@@ -196,7 +212,13 @@ impl Pencil<'_> {
     }
 
     /// A given mask, set right where the points contradict it.
-    fn corrected(&self, view: usize, given: &Map<bool>, options: &RefineOptions) -> Result<Map<bool>> {
+    fn corrected(
+        &self,
+        view: usize,
+        given: &Map<bool>,
+        segments: Option<&Map<u32>>,
+        options: &RefineOptions,
+    ) -> Result<Map<bool>> {
         if self.surface.is_empty() {
             return Ok(given.clone());
         }
@@ -204,7 +226,10 @@ impl Pencil<'_> {
         let is_witnessed = |point: u32| self.witnesses.include(point as usize, view);
         let drawing =
             Drawing { seen: &seen, labels: &self.labels, is_witnessed: &is_witnessed, agreement: SURE_AGREEMENT };
-        let drawn = drawn_labels(&drawing, self.photographs.whole(view)?.as_ref(), options);
+        let mut drawn = drawn_labels(&drawing, self.photographs.whole(view)?.as_ref(), options);
+        if let Some(segments) = segments {
+            fill_segments(&mut drawn, segments, SURE_AGREEMENT);
+        }
         let reach_px = f64::from(options.min_change_px).max(self.surface.spacing_px(&camera, &seen));
         Ok(corrected(given, &drawn, reach_px as f32))
     }

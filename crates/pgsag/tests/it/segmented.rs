@@ -43,6 +43,12 @@ impl Segmenter for Flood {
             }
         }
     }
+
+    fn everything(&self, image: &Image) -> Result<Option<Map<u32>>, SegmentError> {
+        let number = |rgb: &[u8; 3]| u32::from(rgb[1]) + 1;
+        let values = image.pixels.iter().map(number).collect();
+        Ok(Some(Map { width: image.width, height: image.height, values }))
+    }
 }
 
 /// A painted town and the true masks of its views.
@@ -106,9 +112,10 @@ fn quality(run: &Run, stage: &str, truth: &[Map<bool>]) -> f64 {
     (0..truth.len()).map(iou).sum::<f64>() / truth.len() as f64
 }
 
-fn execute(scene: &Path, folder: PathBuf, ask: bool) -> Run {
+fn execute(scene: &Path, folder: PathBuf, ask: bool, everything: bool) -> Run {
     let mut config = Config { scene: scene.display().to_string(), masks: "language".into(), ..Config::default() };
     config.coarse.stereo = false;
+    config.refine.everything = everything;
     fs::create_dir_all(folder.join("log")).expect("a folder");
     let run = Run {
         folder,
@@ -131,10 +138,13 @@ fn a_model_is_asked_by_words_and_then_by_points() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let scene = folder.path().join("scene");
     let truth = painted(&scene);
-    let asked = execute(&scene, folder.path().join("asked"), true);
-    let alone = execute(&scene, folder.path().join("alone"), false);
+    let asked = execute(&scene, folder.path().join("asked"), true, false);
+    let alone = execute(&scene, folder.path().join("alone"), false, false);
+    let all = execute(&scene, folder.path().join("all"), true, true);
     let words = quality(&asked, "masks", &truth);
     let (with, without) = (quality(&asked, "refine", &truth), quality(&alone, "refine", &truth));
     assert!(words < 0.9, "words alone are sloppy: {words}");
+    let all = quality(&all, "refine", &truth);
+    assert!(all >= with && all > without, "{all} with everything queried, {with} without");
     assert!(with > 0.92 && with > without + 0.08, "words {words}, refined {without}, with points {with}");
 }
