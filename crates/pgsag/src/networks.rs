@@ -176,8 +176,13 @@ pub(crate) fn sources(options: &LanguageOptions) -> Result<Vec<(String, String)>
     bundles(options).map_or(Ok(Vec::new()), |bundles| bundles.into_iter().map(fingerprint).collect())
 }
 
-/// What a pixel of a network's input needs while it runs, bytes; an estimate from published peaks of GroundingDINO-T and SAM 2 hiera-tiny.
-const BYTES_PER_PIXEL: u64 = 1300;
+/// What a pixel of a network's input needs while it runs, beside twice the weights, bytes: from the peaks in docs/models.md.
+fn bytes_per_pixel(runtime: RuntimeKind) -> u64 {
+    match runtime {
+        RuntimeKind::Rten => 650,
+        RuntimeKind::Ort => 2000,
+    }
+}
 
 /// What both networks need, bytes: their weights as read and as held, and the larger of the two computations.
 pub(crate) fn memory_bytes(options: &LanguageOptions) -> u64 {
@@ -190,5 +195,5 @@ pub(crate) fn memory_bytes(options: &LanguageOptions) -> u64 {
         let fixed = rules.fixed.map_or(0, |[width, height]| u64::from(width) * u64::from(height));
         most_pixels = most_pixels.max(longest).max(fixed).max(u64::from(rules.square.unwrap_or(0)).pow(2));
     }
-    bytes + most_pixels * BYTES_PER_PIXEL
+    bytes + most_pixels * bytes_per_pixel(options.runtime)
 }

@@ -43,7 +43,7 @@ pub static PIPELINE: &[Stage] = &[
     Stage { sources: masks::sources, code: 2,
     ..row::<masks::MaskList>("masks", &["import", "coarse"], Per::Image, &["masks", "instances", "geometry", "language", "refine.superpixel_px", IMAGES], masks::jobs, masks::run) },
     row::<vote::Votes>("vote", &["import", "coarse", "masks"], Per::Whole, &["vote"], vote::jobs, vote::run),
-    Stage { code: 3,
+    Stage { sources: masks::models, code: 3,
     ..row::<refine::Classes>("refine", &["import", "coarse", "masks", "vote"], Per::Image, &["refine", "masks", "language", IMAGES], refine::jobs, refine::run) },
     Stage { sources: crate::stages::aoi::sources, code: 3,
     ..row::<group::Groups>("group", &["import", "coarse", "masks", "vote", "refine"], Per::Whole, &["vote.depth_tolerance", "refine", "groups", "blocks", "memory_limit", "initialise.sh_degree", "holdout", "images", IMAGES], group::jobs, group::run) },

@@ -142,10 +142,14 @@ pub(crate) fn sources(run: &Run) -> Result<Vec<(String, String)>> {
         Ok((folder.file_name().unwrap_or_default().to_string_lossy().into_owned(), source_fingerprint(&folder)?))
     };
     let mut sources = folders.into_iter().map(fingerprint).collect::<Result<Vec<_>>>()?;
-    if config.masks == "language" {
-        sources.extend(crate::networks::sources(&config.language)?);
-    }
+    sources.extend(models(run)?);
     Ok(sources)
+}
+
+/// Which networks answer, where any are asked.
+pub(crate) fn models(run: &Run) -> Result<Vec<(String, String)>> {
+    let config = config(run)?;
+    if config.masks == "language" { crate::networks::sources(&config.language) } else { Ok(Vec::new()) }
 }
 
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
