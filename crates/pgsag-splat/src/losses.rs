@@ -14,6 +14,7 @@ pub mod load_balance;
 pub mod ncc;
 pub mod photometric;
 mod rows;
+pub mod spare;
 pub mod total;
 pub mod view;
 

@@ -89,6 +89,8 @@ pub trait Pixels<T>: Number {
     fn count_from(start: usize) -> Self;
     /// `self * factor + term`; rounded once where the vector unit can.
     fn times_plus(self, factor: Self, term: Self) -> Self;
+    /// For numbers from 0 to 2^31: the whole part, as numbers and as indices; anything where they are not.
+    fn whole(self) -> (Self, [i32; 16]);
     /// Whether it is true of any pixel.
     fn any(truth: Self::Truth) -> bool;
     /// Sum over the pixels.
@@ -247,6 +249,10 @@ impl Pixels<Self> for f64 {
     #[inline(always)]
     fn times_plus(self, factor: Self, term: Self) -> Self {
         self * factor + term
+    }
+    #[inline(always)]
+    fn whole(self) -> (Self, [i32; 16]) {
+        (Self::from(self as i32), [self as i32; 16])
     }
     #[inline(always)]
     fn any(truth: bool) -> bool {

@@ -171,6 +171,13 @@ impl<S: Carried> Pixels<f32> for Wide<S> {
         Self(self.0.mul_add(factor.0, term.0))
     }
     #[inline(always)]
+    fn whole(self) -> (Self, [i32; LANES]) {
+        let whole = self.0.to_int::<S::i32s>();
+        let mut indices = [0; LANES];
+        whole.store_slice(&mut indices[..S::f32s::LEN]);
+        (Self(whole.to_float()), indices)
+    }
+    #[inline(always)]
     fn any(truth: S::mask32s) -> bool {
         truth.any_true()
     }

@@ -6,6 +6,7 @@
 
 use rayon::prelude::*;
 
+use super::spare::Spare;
 use super::total::{clear_rows, ray};
 use super::view::LossView;
 use crate::backend::{LossWeights, Reading};
@@ -33,35 +34,53 @@ pub struct NormalMaps<'a, T> {
     pub depth: &'a [T],
 }
 
-/// L_ban. Its gradients times `d_loss` are written to `d_normal` and added to `d_depth`.
+/// Where gradients go, `[H * W]` each.
+#[derive(Debug)]
+pub struct NormalGradients<'a, T> {
+    /// Of the blended normal.
+    pub normal: [&'a mut [T]; 3],
+    /// Of the depth.
+    pub depth: &'a mut [T],
+    /// Of the blended distance; for `carry` alone.
+    pub distance: &'a mut [T],
+}
+
+/// L_ban. Its gradients times `d_loss` are written for the normal and added for the depth; then `carry(y, d_depth, d_normal,
+/// d_distance)` is called for every row y, while it is at hand.
 ///     L = mean_i w_i ‖n_d α − N‖₁   (code)   or   mean_i w_i ‖n_d α − N‖²   (paper)
 /// w is `normal_boundary` on boundary pixels and inner edges, 1 elsewhere, times (1 − g)² where asked. Pixels with an
-/// inactive or empty pixel in the stencil do not count, but the mean runs over all active pixels (or the frame).
+/// inactive or empty pixel in the stencil do not count, but the mean runs over all active pixels (or the frame). `rooms` is
+/// memory to work in.
 pub fn boundary_normal<T: Scalar>(
     view: &LossView,
     maps: NormalMaps<'_, T>,
     weights: &LossWeights,
     d_loss: f64,
-    d_normal: [&mut [T]; 3],
-    d_depth: &mut [T],
+    gradients: NormalGradients<'_, T>,
+    carry: impl Fn(usize, &[T], [&mut [T]; 3], &mut [T]) + Sync,
+    rooms: &Spare<Vec<T>>,
 ) -> f64 {
     let share = 1.0 / view.mean_count(weights.mean_over_mask) as f64;
-    let [x, y, z] = d_normal.map(|map| map.chunks_mut((BAND * view.width).max(1)));
-    let bands: Vec<_> = x.zip(y).zip(z).zip(d_depth.chunks_mut((BAND * view.width).max(1))).enumerate().collect();
+    let width = view.width.max(1);
+    let [x, y, z] = gradients.normal.map(|map| map.chunks_mut(BAND * width));
+    let depths = gradients.depth.chunks_mut(BAND * width).zip(gradients.distance.chunks_mut(BAND * width));
+    let bands: Vec<_> = x.zip(y).zip(z).zip(depths).enumerate().collect();
     let sums: Vec<f64> = bands
         .into_par_iter()
-        .map_init(Vec::new, |sides, (band, (((x, y), z), d_depth))| {
-            let d_normal = [x, y, z];
-            T::widest(Band {
-                view,
-                maps,
-                weights,
-                d_scale: share * d_loss,
-                first: band * BAND,
-                d_normal,
-                d_depth,
-                sides,
-            })
+        .with_max_len(1)
+        .map(|(band, (((x, y), z), (d_depth, d_distance)))| {
+            let (d_scale, first) = (share * d_loss, band * BAND);
+            let d_normal = [&mut *x, &mut *y, &mut *z];
+            let d_band = &mut *d_depth;
+            let sum = rooms.lend(|sides| {
+                T::widest(Band { view, maps, weights, d_scale, first, d_normal, d_depth: d_band, sides })
+            });
+            let rows = x.chunks_mut(width).zip(y.chunks_mut(width)).zip(z.chunks_mut(width));
+            let depths = d_depth.chunks(width).zip(d_distance.chunks_mut(width));
+            for (row, (((x, y), z), (d_depth, d_distance))) in rows.zip(depths).enumerate() {
+                carry(first + row, d_depth, [x, y, z], d_distance);
+            }
+            sum
         })
         .collect();
     sums.into_iter().sum::<f64>() * share

@@ -125,22 +125,6 @@ fn scatter<T: Scalar>(rows: &[(f64, usize, Vec<Link<T>>)], factor: T, d_neighbor
     });
 }
 
-/// Where a screen position falls between pixel centres: the upper left pixel and the fractions towards the right and
-/// below; `None` where one of the four pixels is inactive or off the image.
-#[inline(always)]
-pub(super) fn footing<T: Scalar>(view: &LossView, at: [T; 2]) -> Option<(usize, [T; 2])> {
-    let half = T::from_f64(0.5);
-    let (x, y) = (at[0] - half, at[1] - half);
-    // Not a number fails both comparisons.
-    let inside = x >= T::zero() && y >= T::zero();
-    let (column, row) = (x.to_f64() as usize, y.to_f64() as usize);
-    if !inside || column + 1 >= view.width || row + 1 >= view.height {
-        return None;
-    }
-    let tap = row * view.width + column;
-    view.quad_fits[tap].then(|| (tap, [x - T::from_f64(column as f64), y - T::from_f64(row as f64)]))
-}
-
 /// Weights of upper left, upper right, lower left, lower right.
 #[inline(always)]
 fn bilinear_shares<T: Scalar>([fx, fy]: [T; 2]) -> [T; 4] {
@@ -262,27 +246,39 @@ fn read<T: Scalar, P: Pixels<T>>(
     there: Vec3<P>,
     depth: P,
 ) -> Option<Reading<T, P>> {
-    let (zero, one) = (P::zero(), P::one());
+    let (zero, one, half) = (P::zero(), P::one(), P::from_f64(0.5));
+    let view = neighbor.view;
     let goes = zero.less(depth) & pair.nears[1].less(there[2]);
     let forward = P::select(goes, there[2], one);
-    let mut at = [[T::zero(); LANES]; 3];
-    let screen = screen(&pair.lenses[1], [there[0], there[1], forward]);
-    for (value, lanes) in [screen[0], screen[1], P::select(goes, one, zero)].into_iter().zip(&mut at) {
+    let [u, v] = screen(&pair.lenses[1], [there[0], there[1], forward]);
+    let (x, y) = (u - half, v - half);
+    // Between four pixel centres; not a number is nowhere.
+    let last = |pixels: usize| P::from_f64(pixels as f64 - 1.0);
+    let beside = P::from_f64(-1e-37);
+    let goes = goes & beside.less(x) & beside.less(y) & x.less(last(view.width)) & y.less(last(view.height));
+    if !P::any(goes) {
+        return None;
+    }
+    let ((left, columns), (top, rows)) = (x.whole(), y.whole());
+    let mut lanes = [[T::zero(); LANES]; 3];
+    for (value, lanes) in [P::select(goes, one, zero), x - left, y - top].into_iter().zip(&mut lanes) {
         value.store(&mut lanes[..P::LEN]);
     }
+    let [goes, fractions @ ..] = lanes;
     let mut corners = [[T::zero(); LANES]; 4];
-    let mut fractions = [[T::zero(); LANES]; 2];
     let (mut taps, mut found) = ([0; LANES], [T::zero(); LANES]);
     let mut any = false;
-    for lane in (0..P::LEN).filter(|&lane| at[2][lane] > T::zero()) {
-        let Some((tap, fraction)) = footing(neighbor.view, [at[0][lane], at[1][lane]]) else { continue };
-        let (above, below) = neighbor.depth[tap..].split_at(neighbor.view.width);
+    for lane in (0..P::LEN).filter(|&lane| goes[lane] > T::zero()) {
+        let tap = rows[lane] as usize * view.width + columns[lane] as usize;
+        if !view.quad_fits[tap] {
+            continue;
+        }
+        let (above, below) = (&neighbor.depth[tap..tap + 2], &neighbor.depth[tap + view.width..][..2]);
         let four = [above[0], above[1], below[0], below[1]];
         if four.iter().all(|&depth| depth > T::zero()) {
             for k in 0..4 {
                 corners[k][lane] = four[k];
             }
-            [fractions[0][lane], fractions[1][lane]] = fraction;
             taps[lane] = tap as u32;
             found[lane] = T::one();
             any = true;

@@ -218,7 +218,7 @@ impl<'a, T: Scalar, P: Pixels<T>> Warp<'a, T, P> {
             }
             point[2] = ahead;
             let [u, v] = screen(&self.other, point);
-            let (value, slope) = self.read(P::select(filled, u, half) - half, P::select(filled, v, half) - half)?;
+            let (value, slope) = self.read(at, P::select(filled, u, half) - half, P::select(filled, v, half) - half)?;
             value.store(&mut samples.grey[at..]);
             for k in 0..2 {
                 slope[k].store(&mut samples.slope[k][at..]);
@@ -231,36 +231,32 @@ impl<'a, T: Scalar, P: Pixels<T>> Warp<'a, T, P> {
         Some(samples)
     }
 
-    /// Grey of the neighbour and its slope at pixel centres' coordinates; `None` where one of them is off its mask.
-    /// (0, 0) stands for no sample.
+    /// Grey of the neighbour and its slope at pixel centres' coordinates, of the samples from `at` on; `None` where one of
+    /// them is off its mask.
     #[inline(always)]
-    fn read(&self, x: P, y: P) -> Option<(P, [P; 2])> {
+    fn read(&self, at: usize, x: P, y: P) -> Option<(P, [P; 2])> {
         let view = self.inputs.neighbor;
         let (right, bottom) = (P::from_f64((view.width - 1) as f64), P::from_f64((view.height - 1) as f64));
         let least = x.min(y).min(right - x).min(bottom - y);
         if P::any(least.less(P::zero())) {
             return None;
         }
-        let mut at = [[T::zero(); 16]; 2];
-        x.store(&mut at[0][..P::LEN]);
-        y.store(&mut at[1][..P::LEN]);
-        let (mut floor, mut corners) = ([[T::zero(); 16]; 2], [[T::zero(); 16]; 4]);
+        let ((left, columns), (top, rows)) = (x.whole(), y.whole());
+        let mut corners = [[T::zero(); 16]; 4];
+        let mut fits = true;
         for lane in 0..P::LEN {
-            let (column, row) = (at[0][lane].to_f64() as usize, at[1][lane].to_f64() as usize);
-            let tap = row * view.width + column;
-            let none = at[0][lane] == T::zero() && at[1][lane] == T::zero();
-            if !none && !view.quad_fits.get(tap).is_some_and(|&fits| fits) {
-                return None;
+            if (at + lane) % 8 == SIDE || (at + lane) / 8 == SIDE {
+                continue;
             }
+            let tap = rows[lane] as usize * view.width + columns[lane] as usize;
+            fits &= view.quad_fits.get(tap).is_some_and(|&fits| fits);
             let window = view.gray.get(tap..tap + view.width + 2)?;
-            floor[0][lane] = T::from_f64(column as f64);
-            floor[1][lane] = T::from_f64(row as f64);
             for (corner, place) in corners.iter_mut().zip([0, 1, view.width, view.width + 1]) {
                 corner[lane] = T::from_f32(window[place]);
             }
         }
-        let fraction = [x - P::load(&floor[0][..P::LEN]), y - P::load(&floor[1][..P::LEN])];
-        Some(bilinear(each(|k| P::load(&corners[k][..P::LEN])), fraction))
+        let corners = each(|k| P::load(&corners[k][..P::LEN]));
+        fits.then(|| bilinear(corners, [x - left, y - top]))
     }
 
     #[inline(always)]

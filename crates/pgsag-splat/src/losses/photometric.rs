@@ -2,15 +2,18 @@
 //!
 //! Both images are black outside the mask and both terms see the exposed render. SSIM: Gaussian window of 11 pixels,
 //! σ = 1.5, zero padding. Bands of rows of one channel run in parallel (windows are recomputed at the seams); within a
-//! band rows stream through two rings of eleven, so that all stays in cache: four blurs forward and three back.
+//! band rows stream through two rings, four at a time, so that what is read serves four windows: four blurs forward and
+//! three back. Sums are kept per row: how an image is cut into bands changes no bit.
 
 use std::ops::Range;
 
 use rayon::prelude::*;
 
+use super::spare::Spare;
 use super::total::clear_rows;
 use super::view::LossView;
 use crate::backend::Exposure;
+use crate::equations::algebra::each;
 use crate::equations::number::{Kernel, Pixels};
 use crate::equations::{Number, Scalar};
 
@@ -24,10 +27,18 @@ const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 /// Rows of scratch are as long as a multiple of this, which every width of vectors divides.
 const LANES: usize = 16;
-/// Rows of a band.
-const BAND: usize = 96;
+/// Rows of a band at least.
+const BAND: usize = 64;
+/// Bands of a channel for each thread, so that the last to end is not far behind.
+const BANDS_PER_THREAD: usize = 4;
 /// Rows of a window.
 const TAPS: usize = 2 * HALF + 1;
+/// Rows that are blurred together.
+const STEP: usize = 4;
+/// Rows that windows of [`STEP`] rows see together.
+const SEEN: usize = TAPS + STEP - 1;
+/// Rows of a ring: a multiple of [`STEP`] and at least [`SEEN`].
+const RING: usize = 16;
 
 /// How the term is weighed.
 #[derive(Clone, Copy, Debug)]
@@ -55,31 +66,38 @@ pub struct Photometric {
 
 /// The term; its gradient is written to `d_color` (of the render before exposure), 0 at inactive pixels.
 ///     x = m (gain · I + bias),   y = m I*,   L = l1 · mean |x − y| + dssim · (1 − mean SSIM(x, y))
-/// `color` I and `d_color`: R, G, B, `[H * W]` each.
+/// `color` I and `d_color`: R, G, B, `[H * W]` each. `rooms` is memory to work in.
 pub fn photometric<T: Scalar>(
     view: &LossView,
     color: [&[T]; 3],
     exposure: &Exposure,
     weights: &PhotometricWeights,
     d_color: [&mut [T]; 3],
+    rooms: &Spare<Vec<T>>,
 ) -> Photometric {
+    let threads = rayon::current_num_threads();
+    let bands = if threads == 1 { 1 } else { threads * BANDS_PER_THREAD };
+    let band = view.height.div_ceil(bands).max(BAND);
     let mut tasks = Vec::new();
     for (channel, out) in d_color.into_iter().enumerate() {
         let plane = Plane { view, color: color[channel], channel, exposure, weights };
-        tasks.extend(out.chunks_mut((view.width * BAND).max(1)).enumerate().map(|(i, out)| (plane, i * BAND, out)));
+        tasks.extend(out.chunks_mut((view.width * band).max(1)).enumerate().map(|(i, out)| (plane, i * band, out)));
     }
     let window = window();
-    let sums: Vec<(usize, Sums)> = tasks
+    let sums: Vec<(usize, Vec<Sums>)> = tasks
         .into_par_iter()
-        .map_init(Scratch::default, |scratch, (plane, first, out)| {
-            (plane.channel, T::widest(Band { plane, first, out, window, scratch }))
+        .with_max_len(1)
+        .map(|(plane, first, out)| {
+            let rows = rooms.lend(|room| T::widest(Band { plane, first, out, window, room }));
+            (plane.channel, rows)
         })
         .collect();
-    sums.into_iter().fold(Photometric::default(), |mut sum, (channel, band)| {
-        sum.l1 += band.l1;
-        sum.dssim += band.dssim;
-        sum.d_gain[channel] += band.d_gain;
-        sum.d_bias[channel] += band.d_bias;
+    let rows = sums.into_iter().flat_map(|(channel, rows)| rows.into_iter().map(move |row| (channel, row)));
+    rows.fold(Photometric::default(), |mut sum, (channel, row)| {
+        sum.l1 += row.l1;
+        sum.dssim += row.dssim;
+        sum.d_gain[channel] += row.d_gain;
+        sum.d_bias[channel] += row.d_bias;
         sum
     })
 }
@@ -102,13 +120,16 @@ struct Plane<'a, T> {
 }
 
 impl<T: Scalar> Plane<'_, T> {
-    /// The columns in which SSIM matters for the rows from `first`; empty where nothing does.
+    /// The columns in which SSIM matters for the rows from `first`; empty where nothing does. They begin where a vector
+    /// would in any band.
     fn columns(&self, first: usize, rows: usize) -> Range<usize> {
+        if !self.weights.mean_over_mask {
+            return 0..self.view.width;
+        }
         let reach = first.saturating_sub(2 * HALF)..(first + rows + 2 * HALF).min(self.view.height);
         let spans = self.view.spans[reach].iter().filter(|span| !span.is_empty());
         let (start, end) = spans.fold((usize::MAX, 0), |(start, end), span| (start.min(span.start), end.max(span.end)));
-        let beyond = if self.weights.mean_over_mask { 0 } else { HALF };
-        if start < end { start.saturating_sub(beyond)..(end + beyond).min(self.view.width) } else { 0..0 }
+        if start < end { start / LANES * LANES..end } else { 0..0 }
     }
 
     /// 1 / (3 · pixels averaged over).
@@ -129,26 +150,13 @@ impl<T: Scalar> Plane<'_, T> {
     }
 }
 
-/// Sums over a band of one channel.
+/// Sums over a row of one channel.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     l1: f64,
     dssim: f64,
     d_gain: f64,
     d_bias: f64,
-}
-
-/// Rows of a band, kept from band to band. Rows with `HALF` columns more on each side are *wide*.
-#[derive(Default)]
-struct Scratch<T> {
-    /// Wide: x, y, x² + y² and x y of one row.
-    pair: [Vec<T>; 4],
-    /// Wide: ∂S/∂(window sums) of one row.
-    slopes: [Vec<T>; 3],
-    /// Horizontal blurs of the pair: the last eleven rows.
-    means: [Vec<T>; 4],
-    /// Horizontal blurs of the slopes: the last eleven rows.
-    blurred: [Vec<T>; 3],
 }
 
 /// A band of rows of one channel.
@@ -158,190 +166,213 @@ struct Band<'a, T> {
     first: usize,
     out: &'a mut [T],
     window: [f64; HALF + 1],
-    scratch: &'a mut Scratch<T>,
+    /// Memory for [`Work`].
+    room: &'a mut Vec<T>,
 }
 
 impl<T: Scalar> Kernel<T> for Band<'_, T> {
-    type Output = Sums;
+    type Output = Vec<Sums>;
 
     #[inline(always)]
-    fn run<P: Pixels<T>>(mut self) -> Sums {
-        clear_rows(self.plane.view, self.first, self.out);
-        let rows = self.out.len() / self.plane.view.width;
-        let columns = self.plane.columns(self.first, rows);
-        let mut sums = Sums::default();
+    fn run<P: Pixels<T>>(self) -> Vec<Sums> {
+        let Self { plane, first, out, window, room } = self;
+        clear_rows(plane.view, first, out);
+        let rows = out.len() / plane.view.width;
+        let mut sums = vec![Sums::default(); rows];
+        let columns = plane.columns(first, rows);
         if columns.is_empty() {
             return sums;
         }
-        if self.plane.weights.dssim == 0.0 {
-            for row in 0..rows {
-                self.finish_row::<P>(row, &columns, None, &mut sums);
+        let kernel = each(|tap| P::from_f64(window[tap]));
+        let stride = if plane.weights.dssim == 0.0 { 0 } else { (columns.len().div_ceil(LANES) | 1) * LANES };
+        let mut strip = Strip { plane, first, rows, columns, kernel, work: Work::new(room, stride) };
+        if stride == 0 {
+            for turn in 0..rows.div_ceil(STEP) {
+                strip.finish::<false>(turn, out, &mut sums);
             }
             return sums;
         }
-        let mut kernel = [P::zero(); HALF + 1];
-        for tap in 0..=HALF {
-            kernel[tap] = P::from_f64(self.window[tap]);
-        }
-        let stride = self.scratch.fit(columns.len());
-        for turn in 0..rows + 4 * HALF {
-            let ring = Ring { turn, stride };
-            self.load::<P>(&kernel, &columns, ring);
-            if turn >= 2 * HALF {
-                let loss = self.compare::<P>(&kernel, &columns, ring);
-                sums.dssim += if (3 * HALF..rows + 3 * HALF).contains(&turn) { loss } else { 0.0 };
+        // Input rows begin 2 HALF before the result's, slopes HALF before: whole steps later all that a window sees is there.
+        const DELAY: usize = (SEEN - STEP).div_ceil(STEP);
+        for turn in 0..rows.div_ceil(STEP) + 2 * DELAY {
+            strip.load(turn);
+            if let Some(turn) = turn.checked_sub(DELAY) {
+                strip.compare(turn, &mut sums);
             }
-            if turn >= 4 * HALF {
-                self.finish_row::<P>(turn - 4 * HALF, &columns, Some((&kernel, ring)), &mut sums);
+            if let Some(turn) = turn.checked_sub(2 * DELAY) {
+                strip.finish::<true>(turn, out, &mut sums);
             }
         }
-        sums.dssim *= self.plane.share();
         sums
     }
 }
 
-impl<T: Scalar> Scratch<T> {
-    /// Makes room for rows of so many columns and clears the margins; returns the length of a row in a ring.
-    fn fit(&mut self, columns: usize) -> usize {
-        // An odd multiple: rows of a ring a power of two apart would fight for the same cache lines.
-        let stride = (columns.div_ceil(LANES) | 1) * LANES;
-        for row in self.pair.iter_mut().chain(&mut self.slopes) {
-            row.clear();
-            row.resize(stride + 2 * HALF, T::zero());
-        }
-        for ring in self.means.iter_mut().chain(&mut self.blurred) {
-            ring.resize(stride * TAPS, T::zero());
-        }
-        stride
-    }
-}
-
-/// Where the rows of a ring are whose newest was written at `turn`.
-#[derive(Clone, Copy)]
-struct Ring {
-    turn: usize,
+/// Rows of a band. *Wide* ones have [`LANES`] columns of zeros on each side.
+struct Work<'a, T> {
+    /// Columns of the others.
     stride: usize,
+    /// Wide: x, y, x² + y² and x y of one row.
+    pair: [&'a mut [T]; 4],
+    /// Wide: ∂S/∂(window sums) of [`STEP`] rows.
+    slopes: [&'a mut [T]; 3],
+    /// Horizontal blurs of the pair: the last [`RING`] rows.
+    means: [&'a mut [T]; 4],
+    /// Horizontal blurs of the slopes: the last [`RING`] rows.
+    blurred: [&'a mut [T]; 3],
 }
 
-impl Ring {
-    /// Offset of the newest row.
-    #[inline(always)]
-    fn newest(self) -> usize {
-        self.turn % TAPS * self.stride
-    }
-
-    /// Offsets of all rows, oldest first.
-    #[inline(always)]
-    fn rows(self) -> [usize; TAPS] {
-        let mut rows = [0; TAPS];
-        for (i, row) in rows.iter_mut().enumerate() {
-            *row = (self.turn + 1 + i) % TAPS * self.stride;
+impl<'a, T: Scalar> Work<'a, T> {
+    /// Zeros, in a memory whose rows begin where cache lines do.
+    fn new(room: &'a mut Vec<T>, stride: usize) -> Self {
+        let wide = stride + 2 * LANES;
+        room.clear();
+        room.resize(LANES + (4 + 3 * STEP) * wide + 7 * RING * stride, T::zero());
+        let begin = room.as_ptr().align_offset(64).min(LANES);
+        let mut rest = &mut room[begin..];
+        let mut take = |length: usize| {
+            let (taken, left) = std::mem::take(&mut rest).split_at_mut(length);
+            rest = left;
+            taken
+        };
+        Self {
+            stride,
+            pair: [(); 4].map(|()| take(wide)),
+            slopes: [(); 3].map(|()| take(STEP * wide)),
+            means: [(); 4].map(|()| take(RING * stride)),
+            blurred: [(); 3].map(|()| take(RING * stride)),
         }
-        rows
     }
 }
 
-impl<T: Scalar> Band<'_, T> {
-    /// Reads image row `first + turn − 10` and blurs it along the row.
+/// A band on its way.
+struct Strip<'a, T, P> {
+    plane: Plane<'a, T>,
+    first: usize,
+    rows: usize,
+    columns: Range<usize>,
+    kernel: [P; HALF + 1],
+    work: Work<'a, T>,
+}
+
+impl<T: Scalar, P: Pixels<T>> Strip<'_, T, P> {
+    /// Where the columns lie in an image row.
     #[inline(always)]
-    fn load<P: Pixels<T>>(&mut self, kernel: &[P; HALF + 1], columns: &Range<usize>, ring: Ring) {
+    fn place(&self, y: usize) -> Range<usize> {
+        y * self.plane.view.width + self.columns.start..y * self.plane.view.width + self.columns.end
+    }
+
+    /// Reads image rows from `first − 10 + 4 turn` on and blurs them along the row.
+    #[inline(always)]
+    fn load(&mut self, turn: usize) {
         let view = self.plane.view;
-        let y = (self.first + ring.turn).checked_sub(2 * HALF).filter(|&y| y < view.height);
-        let [xs, ys, squares, products] = &mut self.scratch.pair;
-        let Some(y) = y.filter(|&y| !view.spans[y].is_empty()) else {
-            for means in &mut self.scratch.means {
-                means[ring.newest()..][..ring.stride].fill(T::zero());
+        for row in STEP * turn..STEP * (turn + 1) {
+            let to = row % RING * self.work.stride..(row % RING + 1) * self.work.stride;
+            let y = (self.first + row).checked_sub(2 * HALF).filter(|&y| y < view.height && !view.spans[y].is_empty());
+            let Some(Range { start, end }) = y.map(|y| self.place(y)) else {
+                self.work.means.iter_mut().for_each(|means| means[to.clone()].fill(T::zero()));
+                continue;
+            };
+            let [xs, ys, squares, products] = &mut self.work.pair;
+            for at in (0..end - start).step_by(P::LEN) {
+                let [a, b, _] = self.plane.pair::<P>(start + at, end);
+                let to = LANES + at..LANES + at + P::LEN;
+                a.store(&mut xs[to.clone()]);
+                b.store(&mut ys[to.clone()]);
+                a.times_plus(a, b * b).store(&mut squares[to.clone()]);
+                (a * b).store(&mut products[to]);
             }
-            return;
-        };
-        let (start, end) = (y * view.width + columns.start, y * view.width + columns.end);
-        for at in (0..columns.len()).step_by(P::LEN) {
-            let [a, b, _] = self.plane.pair::<P>(start + at, end);
-            let to = HALF + at..HALF + at + P::LEN;
-            a.store(&mut xs[to.clone()]);
-            b.store(&mut ys[to.clone()]);
-            a.times_plus(a, b * b).store(&mut squares[to.clone()]);
-            (a * b).store(&mut products[to]);
-        }
-        for (row, means) in self.scratch.pair.iter().zip(&mut self.scratch.means) {
-            blur_along(kernel, row, &mut means[ring.newest()..][..ring.stride]);
+            for (row, means) in self.work.pair.iter().zip(&mut self.work.means) {
+                blur_along(&self.kernel, row, &mut means[to.clone()]);
+            }
         }
     }
 
-    /// SSIM of image row `first + turn − 15`: its slopes, blurred along the row; returns the row's sum of 1 − S.
+    /// SSIM of image rows from `first − 5 + 4 turn` on: slopes, blurred along the row; adds the sums of 1 − S.
     #[inline(always)]
-    fn compare<P: Pixels<T>>(&mut self, kernel: &[P; HALF + 1], columns: &Range<usize>, ring: Ring) -> f64 {
-        let view = self.plane.view;
-        let y = (self.first + ring.turn).checked_sub(3 * HALF).filter(|&y| y < view.height);
-        let Some(y) = y else {
-            for blurred in &mut self.scratch.blurred {
-                blurred[ring.newest()..][..ring.stride].fill(T::zero());
+    fn compare(&mut self, turn: usize, sums: &mut [Sums]) {
+        let (view, everywhere) = (self.plane.view, !self.plane.weights.mean_over_mask);
+        let (length, stride) = (self.columns.len(), self.work.stride);
+        let wide = stride + 2 * LANES;
+        let y: [Option<usize>; STEP] =
+            each(|j| (self.first + STEP * turn + j).checked_sub(HALF).filter(|&y| y < view.height));
+        let mut loss = [P::zero(); STEP];
+        let rings = self.work.means.each_ref().map(|ring| seen(ring, stride, turn));
+        for at in (0..length).step_by(P::LEN) {
+            let mut means = [[P::zero(); STEP]; 4];
+            for k in 0..4 {
+                means[k] = blur_across(&self.kernel, &rings[k], at);
             }
-            return 0.0;
-        };
-        let (start, end) = (y * view.width + columns.start, y * view.width + columns.end);
-        let (rows, everywhere) = (ring.rows(), !self.plane.weights.mean_over_mask);
-        let mut loss = P::zero();
-        for at in (0..columns.len()).step_by(P::LEN) {
-            let mut means = [P::zero(); 4];
-            for (mean, ring) in means.iter_mut().zip(&self.scratch.means) {
-                *mean = blur_across(kernel, ring, &rows, at);
-            }
-            // Lanes past the last column lie in the next row: they do not count.
-            let mut counts = P::from_bytes(bytemuck::cast_slice(&view.active[start + at..end]));
-            if everywhere {
-                counts = P::each(|lane| if at + lane < columns.len() { T::one() } else { T::zero() });
-            }
-            let (s, slopes) = similarity(means);
-            loss += counts * (P::one() - s);
-            for (row, slope) in self.scratch.slopes.iter_mut().zip(slopes) {
-                (counts * slope).store(&mut row[HALF + at..HALF + at + P::LEN]);
+            for j in 0..STEP {
+                let mut counts = P::zero();
+                if let Some(Range { start, end }) = y[j].map(|y| self.place(y)) {
+                    // Lanes past the last column lie in the next row: they do not count.
+                    counts = P::from_bytes(bytemuck::cast_slice(&view.active[start + at..end]));
+                    if everywhere {
+                        counts = P::each(|lane| if at + lane < length { T::one() } else { T::zero() });
+                    }
+                }
+                let (s, slopes) = similarity(each(|k| means[k][j]));
+                loss[j] += counts * (P::one() - s);
+                for k in 0..3 {
+                    (counts * slopes[k]).store(&mut self.work.slopes[k][j * wide + LANES + at..][..P::LEN]);
+                }
             }
         }
-        for (row, blurred) in self.scratch.slopes.iter().zip(&mut self.scratch.blurred) {
-            blur_along(kernel, row, &mut blurred[ring.newest()..][..ring.stride]);
+        for (slopes, blurred) in self.work.slopes.iter().zip(&mut self.work.blurred) {
+            for (j, row) in slopes.chunks_exact(wide).enumerate() {
+                let to = (STEP * turn + j) % RING * stride;
+                blur_along(&self.kernel, row, &mut blurred[to..to + stride]);
+            }
         }
-        loss.total()
+        for (j, loss) in loss.into_iter().enumerate() {
+            if let Some(sum) = (STEP * turn + j).checked_sub(HALF).and_then(|row| sums.get_mut(row)) {
+                sum.dssim = loss.total() * self.plane.share();
+            }
+        }
     }
 
-    /// Writes a row of the result: L1, and SSIM where its slopes are given.
+    /// Writes rows of the result from `4 turn` on: L1 and, with `SSIM`, its part.
     #[inline(always)]
-    fn finish_row<P: Pixels<T>>(
-        &mut self,
-        row: usize,
-        columns: &Range<usize>,
-        slopes: Option<(&[P; HALF + 1], Ring)>,
-        sums: &mut Sums,
-    ) {
-        let plane = self.plane;
-        let width = plane.view.width;
-        let (start, end) = ((self.first + row) * width + columns.start, (self.first + row) * width + columns.end);
-        let out = &mut self.out[row * width..][columns.clone()];
+    fn finish<const SSIM: bool>(&mut self, turn: usize, out: &mut [T], sums: &mut [Sums]) {
+        let (plane, width) = (self.plane, self.plane.view.width);
         let share = plane.share();
         let l1 = P::from_f64(plane.weights.l1 * share);
         let dssim = P::from_f64(-plane.weights.dssim * share);
         let gain = P::from_f64(f64::from(plane.exposure.gain[plane.channel]));
-        let (mut distance, mut d_gain, mut d_bias) = (P::zero(), P::zero(), P::zero());
-        let rows = slopes.map(|(kernel, ring)| (kernel, ring.rows()));
-        for at in (0..columns.len()).step_by(P::LEN) {
-            let [a, b, active] = plane.pair::<P>(start + at, end);
-            let mut d = l1 * (a - b).sign();
-            if let Some((kernel, rows)) = &rows {
-                let [p, q, r] = &self.scratch.blurred;
-                let mut d_ssim = blur_across(kernel, p, rows, at);
-                d_ssim = blur_across(kernel, q, rows, at).times_plus(a + a, d_ssim);
-                d_ssim = blur_across(kernel, r, rows, at).times_plus(b, d_ssim);
-                d = d_ssim.times_plus(dssim, d);
+        let own = STEP * turn..(STEP * (turn + 1)).min(self.rows);
+        let mut totals = [[P::zero(); 3]; STEP];
+        let rings = self.work.blurred.each_ref().map(|ring| seen(ring, self.work.stride, turn));
+        for at in (0..self.columns.len()).step_by(P::LEN) {
+            let mut slopes = [[P::zero(); STEP]; 3];
+            if SSIM {
+                for k in 0..3 {
+                    slopes[k] = blur_across(&self.kernel, &rings[k], at);
+                }
             }
-            d = d * active;
-            (gain * d).store(&mut out[at..]);
-            distance += (a - b).abs();
-            d_gain += d * P::load(&plane.color[start + at..end]);
-            d_bias += d;
+            for j in 0..STEP {
+                if j >= own.len() {
+                    continue;
+                }
+                let Range { start, end } = self.place(self.first + own.start + j);
+                let [a, b, active] = plane.pair::<P>(start + at, end);
+                let mut d = l1 * (a - b).sign();
+                if SSIM {
+                    let d_ssim = slopes[1][j].times_plus(a + a, slopes[0][j]);
+                    d = slopes[2][j].times_plus(b, d_ssim).times_plus(dssim, d);
+                }
+                d = d * active;
+                (gain * d).store(
+                    &mut out[(own.start + j) * width + self.columns.start + at..]
+                        [..P::LEN.min(self.columns.len() - at)],
+                );
+                totals[j][0] += (a - b).abs();
+                totals[j][1] += d * P::load(&plane.color[start + at..end]);
+                totals[j][2] += d;
+            }
         }
-        sums.l1 += distance.total() * share;
-        sums.d_gain += d_gain.total();
-        sums.d_bias += d_bias.total();
+        for (sum, [distance, d_gain, d_bias]) in sums[own].iter_mut().zip(totals) {
+            *sum = Sums { l1: distance.total() * share, d_gain: d_gain.total(), d_bias: d_bias.total(), ..*sum };
+        }
     }
 }
 
@@ -367,28 +398,42 @@ fn similarity<P: Number>(means: [P; 4]) -> (P, [P; 3]) {
     (s, [d_mean - (x + x) * d_square - y * d_product, d_square, d_product])
 }
 
-/// Convolves a row: `out[i]` is the window about `row[i + HALF]`.
+/// Convolves a row: `out[i]` is the window about `row[LANES + i]`.
 #[inline(always)]
 fn blur_along<T: Scalar, P: Pixels<T>>(kernel: &[P; HALF + 1], row: &[T], out: &mut [T]) {
     for at in (0..out.len()).step_by(P::LEN) {
-        let row = &row[at..at + P::LEN + 2 * HALF];
+        let row = &row[LANES - HALF + at..][..P::LEN + 2 * HALF];
         let mut sum = kernel[0] * P::load(&row[HALF..]);
         for tap in 1..=HALF {
-            sum = kernel[tap].times_plus(P::load(&row[HALF - tap..]) + P::load(&row[HALF + tap..]), sum);
+            sum = kernel[tap].times_plus(P::load(&row[HALF - tap..]), sum);
+            sum = kernel[tap].times_plus(P::load(&row[HALF + tap..]), sum);
         }
         sum.store(&mut out[at..]);
     }
 }
 
-/// Convolves across the eleven rows of a ring, at one place along them.
+/// The rows of a ring that the windows of a turn see, first to last.
 #[inline(always)]
-fn blur_across<T: Scalar, P: Pixels<T>>(kernel: &[P; HALF + 1], ring: &[T], rows: &[usize; TAPS], at: usize) -> P {
-    let row = |i: usize| P::load(&ring[rows[i] + at..][..P::LEN]);
-    let mut sum = kernel[0] * row(HALF);
-    for tap in 1..=HALF {
-        sum = kernel[tap].times_plus(row(HALF - tap) + row(HALF + tap), sum);
+fn seen<T>(ring: &[T], stride: usize, turn: usize) -> [&[T]; SEEN] {
+    each(|i| &ring[(STEP * turn + i) % RING * stride..][..stride])
+}
+
+/// Convolves across the rows of a turn, at one place along them.
+#[inline(always)]
+fn blur_across<T: Scalar, P: Pixels<T>>(kernel: &[P; HALF + 1], rows: &[&[T]; SEEN], at: usize) -> [P; STEP] {
+    let mut values = [P::zero(); SEEN];
+    for i in 0..SEEN {
+        values[i] = P::load(&rows[i][at..at + P::LEN]);
     }
-    sum
+    let mut sums = [P::zero(); STEP];
+    for j in 0..STEP {
+        sums[j] = kernel[0] * values[j + HALF];
+        for tap in 1..=HALF {
+            sums[j] = kernel[tap].times_plus(values[j + HALF - tap], sums[j]);
+            sums[j] = kernel[tap].times_plus(values[j + HALF + tap], sums[j]);
+        }
+    }
+    sums
 }
 
 #[cfg(test)]

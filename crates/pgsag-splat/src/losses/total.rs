@@ -6,12 +6,13 @@
 //! The paper's overall factor (1 − λ) is dropped: Adam ignores it, and it would only move thresholds.
 //! Depth is made of N and D here (Eq. 4), so that the terms speak of depth and backends of N and D alone.
 
-use super::boundary_normal::{NormalMaps, boundary_normal};
+use super::boundary_normal::{NormalGradients, NormalMaps, boundary_normal};
 use super::free_opacity::free_opacity;
 use super::geometric::{DepthView, geometric};
 use super::load_balance::load_balance;
 use super::ncc::{NccInputs, ncc};
 use super::photometric::{PhotometricWeights, photometric};
+use super::spare::Spare;
 use rayon::prelude::*;
 
 use super::view::LossView;
@@ -97,6 +98,8 @@ pub struct Evaluation<T> {
     d_depth: [Vec<T>; 2],
     /// Of the geometric term's pixels.
     gates: Vec<T>,
+    /// Memory to work in.
+    rooms: Spare<Vec<T>>,
 }
 
 /// All terms with weight.
@@ -158,7 +161,7 @@ fn add_photometric<T: Scalar>(inputs: &Inputs<'_, T>, out: &mut Evaluation<T>) -
         return 0.0;
     }
     let d_color = out.reference.color.each_mut().map(|map| &mut map[..]);
-    let term = photometric(inputs.view, inputs.maps.color, &inputs.exposure, &weights, d_color);
+    let term = photometric(inputs.view, inputs.maps.color, &inputs.exposure, &weights, d_color, &out.rooms);
     out.values.l1 = term.l1 as f32;
     out.values.dssim = term.dssim as f32;
     out.values.d_gain = term.d_gain.map(|value| value as f32);
@@ -189,17 +192,22 @@ fn add_surface<T: Scalar>(inputs: &Inputs<'_, T>, out: &mut Evaluation<T>) -> f6
     if weights.geometric == 0.0 || pair.is_none() {
         clear(view, &mut out.d_depth[0]);
     }
-    let d_normal = out.reference.normal.each_mut().map(|map| &mut map[..]);
+    let MapGradients { normal, distance, .. } = &mut out.reference;
     if weights.normal == 0.0 {
-        d_normal.into_iter().for_each(|map| clear(view, map));
+        normal.iter_mut().for_each(|map| clear(view, map));
+        chain_depth(view, &inputs.maps, &out.d_depth[0], &mut out.reference);
     } else {
+        let gradients =
+            NormalGradients { normal: normal.each_mut().map(|map| &mut map[..]), depth: &mut out.d_depth[0], distance };
         let maps = NormalMaps { normal: inputs.maps.normal, opacity: inputs.maps.opacity, depth: &out.depth[0] };
         let weight = f64::from(weights.normal);
-        let value = boundary_normal(view, maps, weights, weight, d_normal, &mut out.d_depth[0]);
+        let chain = |y: usize, d_depth: &[T], d_normal: [&mut [T]; 3], d_distance: &mut [T]| {
+            T::widest(ChainRow { view, maps: &inputs.maps, d_depth, y, d_normal, d_distance });
+        };
+        let value = boundary_normal(view, maps, weights, weight, gradients, chain, &out.rooms);
         out.values.normal = value as f32;
         sum += weight * value;
     }
-    chain_depth(view, &inputs.maps, &out.d_depth[0], &mut out.reference);
     if let Some((other, _)) = pair {
         sum += add_ncc(inputs, other, out);
     }
@@ -324,11 +332,12 @@ fn chain_depth<T: Scalar>(view: &LossView, maps: &RenderedMaps<'_, T>, d_depth: 
     let [x, y, z] = normal.each_mut().map(|map| map.par_chunks_mut(width));
     let rows = x.zip(y).zip(z).zip(distance.par_chunks_mut(width)).with_min_len(ROWS_AT_ONCE).enumerate();
     rows.for_each(|(row, (((x, y), z), d_distance))| {
+        let d_depth = &d_depth[row * width..(row + 1) * width];
         T::widest(ChainRow { view, maps, d_depth, y: row, d_normal: [x, y, z], d_distance });
     });
 }
 
-/// One row of [`chain_depth`].
+/// One row of [`chain_depth`]; `d_depth` and the gradients are rows.
 struct ChainRow<'a, T> {
     view: &'a LossView,
     maps: &'a RenderedMaps<'a, T>,
@@ -345,12 +354,12 @@ impl<T: Scalar> Kernel<T> for ChainRow<'_, T> {
     fn run<P: Pixels<T>>(self) {
         let lens = Lens::<P>::new(&self.view.camera);
         let span = self.view.spans[self.y].clone();
-        let (start, end) = (self.y * self.view.width, self.y * self.view.width + span.end);
+        let start = self.y * self.view.width;
         self.d_distance[self.view.reach(self.y)].fill(T::zero());
         for x in span.clone().step_by(P::LEN) {
             let (distance, normal) = planes(self.maps, start + x);
             // 0 at inactive pixels, which have no depth.
-            let d_depth = P::load(&self.d_depth[start + x..end]);
+            let d_depth = P::load(&self.d_depth[x..span.end]);
             let (d_distance, d_normal) = plane::depth_grad(distance, normal, ray(&lens, x, self.y), d_depth);
             d_distance.store(&mut self.d_distance[x..span.end]);
             for k in 0..3 {

@@ -21,6 +21,17 @@ fn depths_and_normals() -> Vec<f64> {
     all
 }
 
+/// The term alone; nothing follows.
+fn alone(
+    (view, maps, weights): (&LossView, NormalMaps<'_, f64>, &LossWeights),
+    d_normal: &mut [f64],
+    depth: &mut [f64],
+) -> f64 {
+    let distance = &mut vec![0.0; depth.len()];
+    let gradients = NormalGradients { normal: planes_mut(d_normal), depth, distance };
+    boundary_normal(view, maps, weights, 1.0, gradients, |_, _, _, _| (), &Spare::default())
+}
+
 fn prove(reading: Reading, normal_image_gradient: bool, mean_over_mask: bool) {
     let view = loss_view(WIDTH as u32, HEIGHT as u32, 8, true);
     let weights = LossWeights { reading, normal_image_gradient, mean_over_mask, ..no_weights() };
@@ -29,7 +40,7 @@ fn prove(reading: Reading, normal_image_gradient: bool, mean_over_mask: bool) {
     let value = |at: &[f64]| {
         let maps = NormalMaps { normal: planes(&at[count..]), opacity: &opacity, depth: &at[..count] };
         let (mut d_normal, mut d_depth) = (vec![0.0; 3 * count], vec![0.0; count]);
-        let value = boundary_normal(&view, maps, &weights, 1.0, planes_mut(&mut d_normal), &mut d_depth);
+        let value = alone((&view, maps, &weights), &mut d_normal, &mut d_depth);
         (value, [d_depth, d_normal].concat())
     };
     let mut at = depths_and_normals();
@@ -60,7 +71,7 @@ fn a_plane_agrees_with_itself() {
     let normal = n.map(|value| vec![0.7 * value; 24 * 20]).concat();
     let maps = NormalMaps { normal: planes(&normal), opacity: &[0.7; 24 * 20], depth: &depth };
     let mut d_normal = vec![0.0; 3 * 24 * 20];
-    let loss = boundary_normal(&view, maps, &no_weights(), 1.0, planes_mut(&mut d_normal), &mut [0.0; 24 * 20]);
+    let loss = alone((&view, maps, &no_weights()), &mut d_normal, &mut [0.0; 24 * 20]);
     assert!(loss < 1e-12, "{loss}");
 }
 
@@ -70,9 +81,7 @@ fn boundary_weighs_a_tenth() {
     let depth = vec![3.0; 24 * 20];
     let normal = [0.5, 0.0, -0.8].map(|value| vec![value; 24 * 20]).concat();
     let maps = NormalMaps { normal: planes(&normal), opacity: &[1.0; 24 * 20], depth: &depth };
-    let loss = |view: &LossView| {
-        boundary_normal(view, maps, &no_weights(), 1.0, planes_mut(&mut vec![0.0; 3 * 480]), &mut [0.0; 480])
-    };
+    let loss = |view: &LossView| alone((view, maps, &no_weights()), &mut [0.0; 3 * 480], &mut [0.0; 480]);
     let inside = loss(&view);
     view.edge.fill(true);
     let edge = loss(&view);

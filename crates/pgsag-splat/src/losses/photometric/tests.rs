@@ -12,9 +12,10 @@ fn prove(masked: bool, mean_over_mask: bool, l1: f64, dssim: f64) {
     let weights = PhotometricWeights { l1, dssim, mean_over_mask };
     let at = proof::numbers(&mut SplitMix64::new(5), 14 * 106 * 3, 0.0, 1.0);
     let mut gradient = vec![0.0; at.len()];
-    photometric(&view, planes(&at), &EXPOSURE, &weights, planes_mut(&mut gradient));
+    photometric(&view, planes(&at), &EXPOSURE, &weights, planes_mut(&mut gradient), &Spare::default());
     let value = |at: &[f64]| {
-        let term = photometric(&view, planes(at), &EXPOSURE, &weights, planes_mut(&mut vec![0.0; at.len()]));
+        let mut unused = vec![0.0; at.len()];
+        let term = photometric(&view, planes(at), &EXPOSURE, &weights, planes_mut(&mut unused), &Spare::default());
         l1 * term.l1 + dssim * term.dssim
     };
     let largest = gradient.iter().fold(0.0f64, |a, b| a.max(b.abs()));
@@ -43,7 +44,7 @@ fn exposure_grad_matches_differences() {
     let weights = PhotometricWeights { l1: 0.8, dssim: 0.2, mean_over_mask: true };
     let color = proof::numbers(&mut SplitMix64::new(9), 20 * 16 * 3, 0.0, 1.0);
     let mut unused = vec![0.0; color.len()];
-    let term = photometric(&view, planes(&color), &EXPOSURE, &weights, planes_mut(&mut unused));
+    let term = photometric(&view, planes(&color), &EXPOSURE, &weights, planes_mut(&mut unused), &Spare::default());
     // Exposures are f32: differences wide enough not to see their rounding.
     for channel in 0..3 {
         let quotient = |change: &dyn Fn(&mut Exposure, f32)| {
@@ -51,7 +52,8 @@ fn exposure_grad_matches_differences() {
                 let mut exposure = EXPOSURE;
                 change(&mut exposure, by);
                 let mut unused = vec![0.0; color.len()];
-                let term = photometric(&view, planes(&color), &exposure, &weights, planes_mut(&mut unused));
+                let term =
+                    photometric(&view, planes(&color), &exposure, &weights, planes_mut(&mut unused), &Spare::default());
                 0.8 * term.l1 + 0.2 * term.dssim
             };
             (at(1.0 / 4096.0) - at(-1.0 / 4096.0)) * 2048.0
@@ -99,7 +101,7 @@ fn dssim_equals_its_definition() {
     for mean_over_mask in [true, false] {
         let weights = PhotometricWeights { l1: 0.0, dssim: 1.0, mean_over_mask };
         let mut unused = vec![0.0; color.len()];
-        let term = photometric(&view, planes(&color), &EXPOSURE, &weights, planes_mut(&mut unused));
+        let term = photometric(&view, planes(&color), &EXPOSURE, &weights, planes_mut(&mut unused), &Spare::default());
         let slow = slow_dssim(&view, planes(&color), mean_over_mask);
         assert!((term.dssim - slow).abs() < 1e-12, "{} {slow}", term.dssim);
     }
@@ -111,7 +113,8 @@ fn equal_images_cost_nothing() {
     let color: Vec<f64> = view.photo.concat().into_iter().map(|value| f64::from(value) / 255.0).collect();
     let weights = PhotometricWeights { l1: 0.8, dssim: 0.2, mean_over_mask: true };
     let mut d_color = vec![0.0; color.len()];
-    let term = photometric(&view, planes(&color), &Exposure::NEUTRAL, &weights, planes_mut(&mut d_color));
+    let term =
+        photometric(&view, planes(&color), &Exposure::NEUTRAL, &weights, planes_mut(&mut d_color), &Spare::default());
     assert!(term.l1 < 1e-15 && term.dssim.abs() < 1e-12);
 }
 
@@ -123,6 +126,6 @@ fn photometric_speed() {
     let weights = PhotometricWeights { l1: 0.8, dssim: 0.2, mean_over_mask: true };
     print_processor_time("photometric, 800 x 600", || {
         let mut d_color = vec![0.0; color.len()];
-        photometric(&view, planes(&color), &Exposure::NEUTRAL, &weights, planes_mut(&mut d_color));
+        photometric(&view, planes(&color), &Exposure::NEUTRAL, &weights, planes_mut(&mut d_color), &Spare::default());
     });
 }
