@@ -39,12 +39,12 @@ use crate::backend::{
 use crate::cloud::SplatCloud;
 use crate::equations::{plane as planes, projection::Lens};
 use crate::lanes::{self, wide};
-use crate::losses::{Evaluation, Inputs, LossView, evaluate_into};
+use crate::losses::{Evaluation, Inputs, LossView, evaluate_into, spare::Spare};
 use bins::place::THICKNESS;
 use forward::Cuts;
 use gradient::Return;
 use layout::Layout;
-use maps::Rows;
+use maps::PartGradients;
 use project::{Projection, project};
 use reduce::{Sums, reduce};
 use render::{Buffers, Pool, leaves_color_out};
@@ -78,10 +78,10 @@ pub struct Cpu {
 /// another call to run.
 #[derive(Default)]
 struct Scratch {
-    rows: [Rows; 2],
     losses: Evaluation<f32>,
-    sums: Vec<lanes::Line>,
+    sums: Vec<lanes::SharedLine>,
     plain: Vec<[f32; 2]>,
+    parts: Spare<PartGradients>,
 }
 
 impl fmt::Debug for Cpu {
@@ -186,12 +186,11 @@ impl Cpu {
 
     fn back(&self, cloud: &mut CpuCloud, render: &CpuRender, averaged_pixels: usize, accumulate: bool) {
         let mut scratch = self.take_scratch();
-        render.unblend(self.level, &mut scratch.sums, &mut scratch.plain);
+        render.unblend(self.level, &mut scratch.sums, &mut scratch.plain, &scratch.parts);
         self.phase("backward");
         let sums = Sums {
             bins: &render.buffers.bins,
             blocks: &render.buffers.blocks,
-            pairs: &scratch.sums,
             plain: &scratch.plain,
             averaged_pixels: render.options.statistics.then_some(averaged_pixels as f32),
         };
@@ -202,7 +201,7 @@ impl Cpu {
             color: !leaves_color_out(&render.options),
             d_smallest_scale: if accumulate { 0.0 } else { render.d_smallest_scale },
         };
-        reduce(self.level, cloud, &sums, back, accumulate);
+        reduce(self.level, cloud, &sums, &mut scratch.sums, back, accumulate);
         self.give_scratch(scratch);
         self.phase("gradient");
     }
@@ -277,21 +276,23 @@ impl Backend for Cpu {
     }
 
     fn read(&self, render: &CpuRender) -> Result<PlaneMaps> {
-        let mut rows = Rows::default();
-        rows.fill(render);
         let (width, height) = (render.layout.width, render.layout.height);
+        let maps = render.maps();
+        let drawn = |from: &[f32]| render.layout.only_drawn(from);
+        let [color, normal] = [maps.color, maps.normal].map(|planes| planes.map(drawn));
+        let distance = drawn(maps.distance);
         let lens = Lens::<f32>::new(&render.camera);
-        let depth = rows.distance.par_iter().enumerate().map(|(pixel, &distance)| {
+        let depth = distance.par_iter().enumerate().map(|(pixel, &distance)| {
             let ray = lens.ray((pixel % width as usize) as f32, (pixel / width as usize) as f32);
-            planes::depth(distance, rows.normal.each_ref().map(|map| map[pixel]), ray)
+            planes::depth(distance, normal.each_ref().map(|map| map[pixel]), ray)
         });
         Ok(PlaneMaps {
             depth: map(width, height, depth.collect()),
-            color: map(width, height, triples(&rows.color)),
-            normal: map(width, height, triples(&rows.normal)),
-            distance: map(width, height, rows.distance),
-            opacity: map(width, height, rows.opacity),
-            load: map(width, height, rows.load),
+            color: map(width, height, triples(&color)),
+            normal: map(width, height, triples(&normal)),
+            distance: map(width, height, distance),
+            opacity: map(width, height, drawn(maps.opacity)),
+            load: map(width, height, drawn(maps.load)),
         })
     }
 
@@ -301,16 +302,11 @@ impl Backend for Cpu {
             (flatness, share) = Self::flatness(sample.render, sample.scene_scale);
         }
         let mut scratch = self.take_scratch();
-        let Scratch { rows: [rows, neighbor_rows], losses: result, .. } = &mut scratch;
-        rows.fill(sample.render);
-        let neighbor = sample.neighbor.as_ref().map(|(view, render)| {
-            neighbor_rows.fill(render);
-            (&view.losses, neighbor_rows.maps())
-        });
-        self.phase("rows");
+        let result = &mut scratch.losses;
+        let neighbor = sample.neighbor.as_ref().map(|(view, render)| (&view.losses, render.maps()));
         let inputs = Inputs {
             view: &sample.view.losses,
-            maps: rows.maps(),
+            maps: sample.render.maps(),
             neighbor,
             exposure: sample.exposure,
             weights: sample.weights,

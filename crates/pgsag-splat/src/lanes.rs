@@ -6,6 +6,8 @@
 
 pub(crate) mod wide;
 
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
 use fearless_simd::{Level, Simd, prelude::*};
 use serde::{Deserialize, Serialize};
 
@@ -37,6 +39,32 @@ impl Line {
     #[inline(always)]
     pub(crate) fn store<S: Simd>(&mut self, _simd: S, at: usize, vector: S::f32s) {
         vector.store_slice(&mut self.0[at..at + S::f32s::LEN]);
+    }
+}
+
+/// A line that any thread may write: eight plain moves.
+#[derive(Debug, Default)]
+#[repr(C, align(64))]
+pub(crate) struct SharedLine([AtomicU64; LANES / 2]);
+
+impl SharedLine {
+    /// Writes it.
+    #[inline(always)]
+    pub(crate) fn set(&self, line: &Line) {
+        let words: [u64; LANES / 2] = bytemuck::cast(line.0);
+        for (to, word) in self.0.iter().zip(words) {
+            to.store(word, Relaxed);
+        }
+    }
+
+    /// Reads it, when nobody writes.
+    #[inline(always)]
+    pub(crate) fn get(&mut self) -> Line {
+        let mut words = [0; LANES / 2];
+        for (word, from) in words.iter_mut().zip(&mut self.0) {
+            *word = *from.get_mut();
+        }
+        Line(bytemuck::cast(words))
     }
 }
 

@@ -37,6 +37,7 @@ pub(crate) fn step(level: Level, cloud: &mut CpuCloud, rates: &Rates, step: u32)
         .zip(cloud.touched.par_chunks(GROUPS))
         .zip(cloud.moving.par_chunks_mut(GROUPS))
         .zip(cloud.boxes.par_chunks_mut(GROUPS / LANES * bounds::PLANES))
+        .with_max_len(1)
         .enumerate()
         .map(|(index, (((((values, first), second), touched), moving), boxes))| {
             let mut task = Task { index, values, first, second, touched, moving, boxes };

@@ -4,18 +4,20 @@
 //! d = Σ_k ĝ_k c_k; and what lies behind a Gaussian acts through another, the rest of Σ_j w_j d_j. So the walk needs
 //! no channel-wise "behind", no division to recover transmittance, and the same order as the forward pass.
 //! Gaussians are the outer loop: the sums of one Gaussian over the tile stay in registers, are folded by one tree and
-//! stored as one record at the pair's place. No two tiles share a place, so there is nothing atomic.
+//! stored as one record of the pair, where the Gaussian's other pairs are too. No two tiles share a pair.
 //!
 //! ```text
 //! ĝc_k = w ĝ_k,   ĝα = T d − rest / (1 − α),   v = α ĝα   (0 where alpha is held at its maximum)
 //! ```
+
+use std::sync::atomic::Ordering::Relaxed;
 
 use fearless_simd::{Simd, prelude::*};
 
 use super::{
     bins::place::{FEATURES, X, XX, XY, Y, YY},
     forward::{ALPHA_MAX, Tile, drawn_light, exponent_at},
-    lanes::{BLOCKS, CENTER_X, CENTER_Y, LANES, Line, exp2, reciprocal, sums},
+    lanes::{BLOCKS, CENTER_X, CENTER_Y, LANES, Line, SharedLine, exp2, reciprocal, sums},
 };
 use crate::equations::algebra::each;
 use crate::equations::blend::{LOAD_CENTER, LOAD_STEEPNESS};
@@ -67,9 +69,9 @@ struct State {
     rest: [Line; BLOCKS],
 }
 
-/// Writes the sums of every pair that covers a pixel to `out` (`[pairs]`); leaves the others alone.
-/// `F` features from `FIRST` on, `P` = F + 2 planes. `LOAD` adds the surrogate of Eq. 9 to ĝα, and then `plain` (`[pairs]`, else empty)
-/// receives Σ v dx and Σ v dy without it, for the density statistics.
+/// Writes the sums of every pair that covers a pixel to `out` (of all tiles, by number of pair); leaves the others alone.
+/// `F` features from `FIRST` on, `P` = F + 2 planes. `LOAD` adds the surrogate of Eq. 9 to ĝα, and then `plain` (of the tile, by place, else
+/// empty) receives Σ v dx and Σ v dy without it, for the density statistics.
 #[inline(always)]
 pub(crate) fn unblend<
     S: Simd,
@@ -82,7 +84,7 @@ pub(crate) fn unblend<
     simd: S,
     tile: &Tile<'_>,
     upstream: &Upstream<'_>,
-    out: &mut [Line],
+    out: &[SharedLine],
     plain: &mut [[f32; 2]],
 ) {
     let mut state = State { light: drawn_light(tile.drawn), rest: each(|block| upstream.planes[block * P]) };
@@ -91,7 +93,7 @@ pub(crate) fn unblend<
     let end = upstream.blocks.iter().rposition(|&blocks| blocks != 0).map_or(0, |last| last + 1);
     for pair in 0..end {
         if pair % BATCH == 0 {
-            tile.fetch(&tile.gaussians[pair..end.min(pair + BATCH)], &mut batch);
+            tile.fetch(&tile.listed[pair..end.min(pair + BATCH)], &mut batch);
         }
         if upstream.blocks[pair] == 0 {
             continue;
@@ -117,7 +119,9 @@ pub(crate) fn unblend<
                 );
             }
         }
-        sums(simd, totals, &mut out[pair]);
+        let mut line = Line::ZERO;
+        sums(simd, totals, &mut line);
+        out[(tile.listed[pair].load(Relaxed) >> 32) as usize].set(&line);
         if LOAD && STATISTICS {
             plain[pair] = each(|k| plain_totals[k].reduce_sum());
         }

@@ -5,7 +5,7 @@
 //! the transmittance stop. What was blended where is kept as one bit per (pair, block), so that the backward pass
 //! visits exactly the same places and culls nothing twice.
 
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use fearless_simd::{Simd, prelude::*};
 
@@ -38,8 +38,8 @@ pub(crate) struct Cuts {
 pub(crate) struct Tile<'a> {
     /// By Gaussian.
     pub(crate) records: &'a [Line],
-    /// The tile's list, front to back.
-    pub(crate) gaussians: &'a [AtomicU32],
+    /// The tile's list, front to back: [`super::bins::Bins::listed`].
+    pub(crate) listed: &'a [AtomicU64],
     /// Pixels that are drawn.
     pub(crate) drawn: &'a [u16; BLOCKS],
     /// Top-left pixel.
@@ -53,11 +53,11 @@ impl Tile<'_> {
     /// rounding in both passes, so that both decide the same. Records lie anywhere: they are copied first, all latencies
     /// overlapping, and looked at then.
     #[inline(always)]
-    pub(crate) fn fetch(&self, gaussians: &[AtomicU32], records: &mut [Line]) {
-        for (to, gaussian) in records.iter_mut().zip(gaussians) {
-            *to = self.records[gaussian.load(Relaxed) as usize];
+    pub(crate) fn fetch(&self, listed: &[AtomicU64], records: &mut [Line]) {
+        for (to, listed) in records.iter_mut().zip(listed) {
+            *to = self.records[listed.load(Relaxed) as u32 as usize];
         }
-        for record in records.iter_mut().take(gaussians.len()) {
+        for record in records.iter_mut().take(listed.len()) {
             record.0[X] -= self.corner.0;
             record.0[Y] -= self.corner.1;
         }
@@ -86,9 +86,9 @@ const CULLED: [usize; 8] = [X, Y, XX, XY, YY, PEAK, SLOPE_Y, SLOPE_X];
 
 impl Batch {
     #[inline(always)]
-    fn fill(&mut self, tile: &Tile<'_>, gaussians: &[AtomicU32]) {
-        tile.fetch(gaussians, &mut self.records);
-        for (i, record) in self.records.iter().enumerate().take(gaussians.len()) {
+    fn fill(&mut self, tile: &Tile<'_>, listed: &[AtomicU64]) {
+        tile.fetch(listed, &mut self.records);
+        for (i, record) in self.records.iter().enumerate().take(listed.len()) {
             for (field, &at) in self.fields.iter_mut().zip(&CULLED) {
                 field[i] = record.0[at];
             }
@@ -152,17 +152,17 @@ pub(crate) fn blend<S: Simd, const FIRST: usize, const F: usize, const COUNTS: b
         live |= (u64::from(tile.drawn[block] != 0) * all_parts) << (block * parts);
     }
     out.blocks.fill(0);
-    for (index, gaussians) in tile.gaussians.chunks(BATCH).enumerate() {
+    for (index, listed) in tile.listed.chunks(BATCH).enumerate() {
         if live == 0 {
             return;
         }
-        batch.fill(tile, gaussians);
+        batch.fill(tile, listed);
         for block in 0..BLOCKS {
             let alive = live >> (block * parts) & all_parts;
             if alive == 0 {
                 continue;
             }
-            let bits = batch.reaching(simd, gaussians.len(), block_corner(block), tile.cuts);
+            let bits = batch.reaching(simd, listed.len(), block_corner(block), tile.cuts);
             if bits == 0 {
                 continue;
             }

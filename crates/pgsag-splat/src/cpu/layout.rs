@@ -1,7 +1,7 @@
 //! Which tiles, blocks and pixels of a raster are drawn. Everything of size "pixels" is stored for drawn tiles only,
 //! tile by tile in row-major order, block by block within a tile, 16 lanes to a block.
 
-use super::lanes::{BLOCK, BLOCKS, Line, TILE};
+use super::lanes::{BLOCK, BLOCKS, TILE};
 
 /// The slot of a tile that is not drawn.
 pub(crate) const NOT_DRAWN: u32 = u32::MAX;
@@ -83,6 +83,18 @@ impl Layout {
         (tile % self.columns * TILE as u32, tile / self.columns * TILE as u32)
     }
 
+    /// A row-major map with 0 in all tiles that are not drawn.
+    pub(crate) fn only_drawn(&self, map: &[f32]) -> Vec<f32> {
+        let mut out = map.to_vec();
+        let width = self.width as usize;
+        for (y, row) in out.chunks_exact_mut(width).enumerate() {
+            let slots = &self.slot_of_tile[y / TILE * self.columns as usize..];
+            let outside = row.chunks_mut(TILE).zip(slots).filter(|(_, slot)| **slot == NOT_DRAWN);
+            outside.for_each(|(run, _)| run.fill(0.0));
+        }
+        out
+    }
+
     /// Whether any tile of columns `x0..=x1`, rows `y0..=y1` is drawn.
     pub(crate) fn any_drawn(&self, x0: u32, x1: u32, y0: u32, y1: u32) -> bool {
         let stride = self.columns + 1;
@@ -100,9 +112,4 @@ pub(crate) fn place(x: usize, y: usize) -> (usize, usize) {
 /// First pixel column or row of every block of a tile.
 pub(crate) fn block_corner(block: usize) -> (f32, f32) {
     ((block % (TILE / BLOCK) * BLOCK) as f32, (block / (TILE / BLOCK) * BLOCK) as f32)
-}
-
-/// Lines of one tile among those of all drawn tiles; `planes` lines to a block.
-pub(crate) fn of_tile(lines: &[Line], slot: usize, planes: usize) -> &[Line] {
-    &lines[slot * BLOCKS * planes..(slot + 1) * BLOCKS * planes]
 }

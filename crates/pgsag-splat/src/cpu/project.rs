@@ -140,7 +140,8 @@ pub(crate) fn project(
         .par_chunks_mut(GROUPS * LANES)
         .zip(cloud.values.par_chunks(GROUPS * cloud.planes))
         .zip(cloud.boxes.par_chunks(GROUPS / LANES * bounds::PLANES))
-        .zip(found.par_iter_mut());
+        .zip(found.par_iter_mut())
+        .with_max_len(1);
     tasks.enumerate().for_each(|(task, (((records, values), boxes), found))| {
         found.entries.clear();
         found.tiles.clear();

@@ -12,7 +12,7 @@ use super::{
     bins::{Bins, Entry},
     cloud::CpuCloud,
     gradient::{Return, TaskSums, Totals},
-    lanes::{LANES, Line, at_level},
+    lanes::{LANES, Line, SharedLine, at_level},
     project::{Ellipses, GROUPS, Lanes},
     wide::{Carried, Wide},
 };
@@ -23,21 +23,27 @@ use crate::equations::projection::{self, Lens};
 pub(crate) struct Sums<'a> {
     /// Entries, and places of pairs.
     pub(crate) bins: &'a Bins,
-    /// `[pairs]` blocks in which a pair covers a pixel; 0: it has no sums.
+    /// By place: blocks in which a pair covers a pixel; 0: it has no sums.
     pub(crate) blocks: &'a [u16],
-    /// `[pairs]`
-    pub(crate) pairs: &'a [Line],
-    /// `[pairs]` Σ v dx, Σ v dy without the load, where they differ; else empty.
+    /// By place: Σ v dx, Σ v dy without the load, where they differ; else empty.
     pub(crate) plain: &'a [[f32; 2]],
     /// Where statistics are asked for: pixels over which the photometric term averages.
     pub(crate) averaged_pixels: Option<f32>,
 }
 
-/// Adds up one render and leaves its sums in the cloud, instead of those of earlier renders or, with `accumulate`,
-/// beside them.
-pub(crate) fn reduce(level: Level, cloud: &mut CpuCloud, sums: &Sums<'_>, back: Return, accumulate: bool) {
+/// Adds up `pairs` (`[pairs]`) of one render and leaves their sums in the cloud, instead of those of earlier renders or, with
+/// `accumulate`, beside them.
+pub(crate) fn reduce(
+    level: Level,
+    cloud: &mut CpuCloud,
+    sums: &Sums<'_>,
+    pairs: &mut [SharedLine],
+    back: Return,
+    accumulate: bool,
+) {
     let planes = cloud.planes;
     let chunk = GROUPS * LANES;
+    let owned = by_task(&sums.bins.entries, pairs, chunk, cloud.touched.len().div_ceil(GROUPS));
     let statistics = &mut cloud.statistics;
     let parts = statistics
         .gradient
@@ -52,15 +58,36 @@ pub(crate) fn reduce(level: Level, cloud: &mut CpuCloud, sums: &Sums<'_>, back: 
         .zip(cloud.values.par_chunks(GROUPS * planes))
         .zip(cloud.touched.par_chunks_mut(GROUPS))
         .zip(parts)
+        .zip(owned)
+        .with_max_len(1)
         .enumerate()
-        .for_each(|(task, (((out, values), touched), (((gradient, absolute), visible), radius)))| {
+        .for_each(|(task, ((((out, values), touched), (((gradient, absolute), visible), radius)), owned))| {
             let first = task * chunk;
-            let from = sums.bins.entries.partition_point(|entry| (entry.gaussian as usize) < first);
             let statistics = Statistics { gradient, absolute, visible, radius };
             let mut task = Task { sums, back: &back, accumulate, planes, first, statistics };
-            let entries = &sums.bins.entries[from..];
-            at_level!(level, simd => task.run(simd, entries, values, out, touched));
+            at_level!(level, simd => task.run(simd, owned, values, out, touched));
         });
+}
+
+/// Entries of some Gaussians, and the sums of their pairs, both in order of Gaussians.
+type Owned<'a> = (&'a [Entry], &'a mut [SharedLine]);
+
+/// Cuts entries and pairs into those of `tasks` times `chunk` Gaussians.
+fn by_task<'a>(
+    mut entries: &'a [Entry],
+    mut pairs: &'a mut [SharedLine],
+    chunk: usize,
+    tasks: usize,
+) -> Vec<Owned<'a>> {
+    let mut owned = Vec::with_capacity(tasks);
+    for task in 1..=tasks {
+        let (own, rest) = entries.split_at(entries.partition_point(|entry| (entry.gaussian as usize) < task * chunk));
+        let count = own.iter().map(|entry| entry.count as usize).sum();
+        let (own_pairs, rest_pairs) = pairs.split_at_mut(count);
+        owned.push((own, own_pairs));
+        (entries, pairs) = (rest, rest_pairs);
+    }
+    owned
 }
 
 struct Statistics<'a> {
@@ -80,16 +107,6 @@ struct Task<'a> {
     statistics: Statistics<'a>,
 }
 
-/// Records that are fetched at a time.
-const FETCHED: usize = 64;
-
-/// Sums of some pairs, and whose they are.
-struct Fetched {
-    sums: [Line; FETCHED],
-    lanes: [u8; FETCHED],
-    count: usize,
-}
-
 /// Sums of a group's Gaussians, Gaussian by Gaussian.
 struct GroupRows {
     rows: [Line; LANES],
@@ -99,34 +116,18 @@ struct GroupRows {
     visible: u16,
 }
 
-impl Fetched {
-    /// Adds them to the sums of their lanes, in order, and forgets them.
-    #[inline(always)]
-    fn add(&mut self, group: &mut GroupRows) {
-        for (sums, &lane) in self.sums.iter().zip(&self.lanes).take(self.count) {
-            let lane = usize::from(lane) % LANES;
-            for (to, from) in group.rows[lane].0.iter_mut().zip(&sums.0) {
-                *to += from;
-            }
-            group.visible |= 1 << lane;
-        }
-        self.count = 0;
-    }
-}
-
 impl Task<'_> {
     #[inline(always)]
     fn run<S: Carried>(
         &mut self,
         simd: S,
-        mut entries: &[Entry],
+        (mut entries, mut pairs): Owned<'_>,
         values: &[Line],
         out: &mut TaskSums,
         touched: &mut [u16],
     ) {
         simd.carry();
         let lens = Lens::<Wide<S>>::new(&self.back.camera);
-        let mut fetched = Fetched { sums: [Line::ZERO; FETCHED], lanes: [0; FETCHED], count: 0 };
         for (group, touched) in touched.iter_mut().enumerate() {
             if !self.accumulate {
                 *touched = 0;
@@ -136,7 +137,7 @@ impl Task<'_> {
                 entries.iter().take(LANES).take_while(|entry| (entry.gaussian as usize) < first + LANES).count();
             let (own, rest) = entries.split_at(split);
             entries = rest;
-            let Some(sums) = self.group_rows(first, own, &mut fetched) else { continue };
+            let Some(sums) = self.group_rows(first, own, &mut pairs) else { continue };
             *touched |= sums.visible;
             let totals = Totals::of(&sums.rows, sums.visible);
             if let Some(pixels) = self.sums.averaged_pixels {
@@ -151,32 +152,37 @@ impl Task<'_> {
         }
     }
 
-    /// Adds up the pairs of a group's Gaussians; `None` where none covers a pixel. Records are copied some at a time
-    /// before they are added: they lie anywhere, and so their latencies overlap.
+    /// Adds up the pairs of a group's Gaussians, which are the first of `pairs`, and takes them off; `None` where none
+    /// covers a pixel.
     #[inline(always)]
-    fn group_rows(&self, first: usize, entries: &[Entry], fetched: &mut Fetched) -> Option<GroupRows> {
+    fn group_rows(&self, first: usize, entries: &[Entry], pairs: &mut &mut [SharedLine]) -> Option<GroupRows> {
         if entries.is_empty() {
             return None;
         }
         let mut group = GroupRows { rows: [Line::ZERO; LANES], plain: [Line::ZERO; 2], visible: 0 };
         for entry in entries {
-            let lane = entry.gaussian as usize - first;
-            for place in &self.sums.bins.places[entry.first as usize..(entry.first + entry.count) as usize] {
+            let lane = (entry.gaussian as usize - first) % LANES;
+            let (own, rest) = std::mem::take(pairs).split_at_mut(entry.count as usize);
+            *pairs = rest;
+            let mut total = Line::ZERO;
+            let places = &self.sums.bins.places[entry.first as usize..][..entry.count as usize];
+            for (pair, place) in own.iter_mut().zip(places) {
                 let place = place.load(Relaxed) as usize;
-                fetched.sums[fetched.count] = self.sums.pairs[place];
-                fetched.lanes[fetched.count] = lane as u8;
-                fetched.count += usize::from(self.sums.blocks[place] != 0);
-                if fetched.count == FETCHED {
-                    fetched.add(&mut group);
+                if self.sums.blocks[place] == 0 {
+                    continue;
                 }
-                if !self.sums.plain.is_empty() && self.sums.blocks[place] != 0 {
+                group.visible |= 1 << lane;
+                for (to, from) in total.0.iter_mut().zip(pair.get().0) {
+                    *to += from;
+                }
+                if !self.sums.plain.is_empty() {
                     for (sum, value) in group.plain.iter_mut().zip(self.sums.plain[place]) {
                         sum.0[lane] += value;
                     }
                 }
             }
+            group.rows[lane] = total;
         }
-        fetched.add(&mut group);
         (group.visible != 0).then_some(group)
     }
 

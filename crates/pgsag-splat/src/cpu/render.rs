@@ -5,20 +5,20 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-use fearless_simd::Level;
+use fearless_simd::{Level, Simd};
 use rayon::prelude::*;
 
 use super::{
     backward::{Upstream, unblend},
     bins::Bins,
     forward::{Blend, Cuts, Tile, blend},
-    lanes::{BLOCKS, Line, at_level},
-    layout::{Layout, of_tile},
-    maps::TileGradients,
+    lanes::{BLOCKS, Line, SharedLine, at_level},
+    layout::Layout,
+    maps::{Part, PartGradients, Rows, part_read, slots_of_parts},
     project::Found,
 };
 use crate::backend::{RenderOptions, ViewCamera};
-use crate::losses::MapGradients;
+use crate::losses::{MapGradients, RenderedMaps, spare::Spare};
 
 /// Features of a colour.
 const COLORS: usize = 3;
@@ -37,19 +37,19 @@ pub(crate) struct Buffers {
     pub(crate) found: Vec<Found>,
     /// Lists of tiles.
     pub(crate) bins: Bins,
-    /// `[tile][block][F + 1]` features and opacity sum.
+    /// What was drawn, in rows.
+    pub(crate) rows: Rows,
+    /// The same for the backward pass: `[tile][block][F + 1]` features and opacity sum.
     pub(crate) planes: Vec<Line>,
     /// `[pairs]` blocks in which a pixel is covered.
     pub(crate) blocks: Vec<u16>,
-    /// `[tile][block]` covered entries per pixel; empty without counts.
-    pub(crate) load: Vec<Line>,
     /// `[pairs]` blocks in which a pixel is covered in the first half of its light; empty without counts.
     pub(crate) seen: Vec<u16>,
     /// Gradients of the maps, of this render or of an earlier one.
     pub(crate) gradients: MapGradients<f32>,
 }
 
-/// A render on the CPU: block-ordered maps of the drawn tiles, and what the gradient needs.
+/// A render on the CPU: its maps, and what the gradient needs.
 #[derive(Debug)]
 pub struct CpuRender {
     pub(crate) options: RenderOptions,
@@ -72,16 +72,11 @@ impl Drop for CpuRender {
     }
 }
 
-/// Cuts `slice` into the lists of all tiles.
-fn by_list<'a, T>(bins: &Bins, mut slice: &'a mut [T]) -> Vec<&'a mut [T]> {
-    let mut lists = Vec::with_capacity(bins.starts.len());
-    for bounds in bins.starts.windows(2) {
-        let count = if slice.is_empty() { 0 } else { (bounds[1] - bounds[0]) as usize };
-        let (list, rest) = slice.split_at_mut(count);
-        lists.push(list);
-        slice = rest;
-    }
-    lists
+/// What the backward pass reads, and `plain` which it writes, of the tiles `slots` of one part.
+struct UpstreamPart<'a> {
+    taken: &'a PartGradients,
+    slots: Range<usize>,
+    plain: &'a mut [[f32; 2]],
 }
 
 /// Whether colours are left out: only where the other options have kernels for it.
@@ -117,88 +112,153 @@ impl CpuRender {
         let (x, y) = self.layout.corner(self.layout.tiles[slot]);
         Tile {
             records: &self.buffers.records,
-            gaussians: &self.buffers.bins.gaussians[self.buffers.bins.list(slot)],
+            listed: self.buffers.bins.listed(self.buffers.bins.list(slot)),
             drawn: &self.layout.drawn[slot],
             corner: (x as f32, y as f32),
             cuts: self.cuts,
         }
     }
 
+    /// What was drawn, as losses want it.
+    pub(crate) fn maps(&self) -> RenderedMaps<'_, f32> {
+        self.buffers.rows.maps(&self.features(), self.options.load)
+    }
+
     /// Blends all tiles.
     pub(crate) fn blend(&mut self, level: Level) {
-        let (features, tiles) = (self.features(), self.layout.tiles.len());
-        let stride = features.len() + 1;
+        let features = self.features();
         let pairs = self.buffers.bins.starts.last().map_or(0, |&end| end as usize);
         let counts = self.options.load || self.options.observe;
+        let mut rows = std::mem::take(&mut self.buffers.rows);
         let mut planes = std::mem::take(&mut self.buffers.planes);
         let mut blocks = std::mem::take(&mut self.buffers.blocks);
-        let mut load = std::mem::take(&mut self.buffers.load);
         let mut seen = std::mem::take(&mut self.buffers.seen);
-        planes.resize(tiles * BLOCKS * stride, Line::ZERO);
         blocks.resize(pairs, 0);
-        load.clear();
-        load.resize(if counts { tiles * BLOCKS } else { 0 }, Line::ZERO);
         seen.clear();
         seen.resize(if counts { pairs } else { 0 }, 0);
-        let bins = &self.buffers.bins;
-        let mut loads: Vec<&mut [Line]> = load.chunks_mut(BLOCKS).collect();
-        loads.resize_with(tiles, Default::default);
-        planes
-            .par_chunks_mut(BLOCKS * stride)
-            .zip(by_list(bins, &mut blocks))
-            .zip(by_list(bins, &mut seen))
-            .zip(loads)
-            .enumerate()
-            .for_each(|(slot, (((planes, blocks), seen), load))| {
-                planes.fill(Line::ZERO);
-                let tile = self.tile(slot);
-                let mut out = Blend { planes, blocks, counts: counts.then_some((load, seen)) };
-                at_level!(level, simd => match (features.start, features.end, counts) {
-                    (0, COLORS, false) => blend::<_, 0, 3, false>(simd, &tile, &mut out),
-                    (0, COLORS, true) => blend::<_, 0, 3, true>(simd, &tile, &mut out),
-                    (COLORS, ..) => blend::<_, COLORS, 4, false>(simd, &tile, &mut out),
-                    (_, _, false) => blend::<_, 0, 7, false>(simd, &tile, &mut out),
-                    (_, _, true) => blend::<_, 0, 7, true>(simd, &tile, &mut out),
-                });
+        let maps = rows.drawn(&self.layout, &features, self.options.load);
+        let stride = features.len() + 1;
+        planes.resize(self.layout.tiles.len() * BLOCKS * stride, Line::ZERO);
+        let of_pairs = [&mut blocks[..], &mut seen[..]];
+        let parts = Part::all((&self.layout, &self.buffers.bins), maps, (&mut planes, stride), of_pairs);
+        parts.into_par_iter().with_max_len(1).for_each_init(Vec::new, |load, mut part| {
+            at_level!(level, simd => match (features.start, features.end, counts) {
+                (0, COLORS, false) => self.blend_part::<_, 0, 3, false>(simd, &mut part, load),
+                (0, COLORS, true) => self.blend_part::<_, 0, 3, true>(simd, &mut part, load),
+                (COLORS, ..) => self.blend_part::<_, COLORS, 4, false>(simd, &mut part, load),
+                (_, _, false) => self.blend_part::<_, 0, 7, false>(simd, &mut part, load),
+                (_, _, true) => self.blend_part::<_, 0, 7, true>(simd, &mut part, load),
             });
+        });
+        self.buffers.rows = rows;
         self.buffers.planes = planes;
         self.buffers.blocks = blocks;
-        self.buffers.load = load;
         self.buffers.seen = seen;
     }
 
-    /// Walks all tiles back; `sums` and `plain` become `[pairs]` (`plain` only with a load).
-    pub(crate) fn unblend(&self, level: Level, sums: &mut Vec<Line>, plain: &mut Vec<[f32; 2]>) {
+    /// Blends one part; its load passes through `load`.
+    #[inline(always)]
+    fn blend_part<S: Simd, const FIRST: usize, const F: usize, const COUNTS: bool>(
+        &self,
+        simd: S,
+        part: &mut Part<'_>,
+        load: &mut Vec<Line>,
+    ) {
+        load.clear();
+        load.resize(if COUNTS { part.slots.len() * BLOCKS } else { 0 }, Line::ZERO);
+        let first_pair = self.buffers.bins.starts[part.slots.start] as usize;
+        for (k, slot) in part.slots.clone().enumerate() {
+            let list = self.buffers.bins.list(slot);
+            let own = list.start - first_pair..list.end - first_pair;
+            let mut counts = None;
+            if COUNTS {
+                counts = Some((&mut load[k * BLOCKS..][..BLOCKS], &mut part.seen[own.clone()]));
+            }
+            let planes = &mut part.planes[k * BLOCKS * (F + 1)..][..BLOCKS * (F + 1)];
+            planes.fill(Line::ZERO);
+            let mut out = Blend { planes, blocks: &mut part.blocks[own], counts };
+            blend::<S, FIRST, F, COUNTS>(simd, &self.tile(slot), &mut out);
+        }
+        part.put(&self.layout, F + 1 + usize::from(self.options.load), load);
+    }
+
+    /// Walks all tiles back; `sums` become `[pairs]`, and with a load `plain` too, by place.
+    pub(crate) fn unblend(
+        &self,
+        level: Level,
+        sums: &mut Vec<SharedLine>,
+        plain: &mut Vec<[f32; 2]>,
+        rooms: &Spare<PartGradients>,
+    ) {
         let bins = &self.buffers.bins;
         let load = self.differentiated && !self.buffers.gradients.load.is_empty();
         let statistics = self.options.statistics;
         let pairs = self.buffers.blocks.len();
-        sums.resize(pairs, Line::ZERO);
+        sums.resize_with(pairs, SharedLine::default);
         plain.resize(if load { pairs } else { 0 }, [0.0; 2]);
         if !self.has_gradients() {
-            sums.fill(Line::ZERO);
+            sums.fill_with(SharedLine::default);
             return;
         }
         let features = self.features();
-        by_list(bins, sums).into_par_iter().zip(by_list(bins, plain)).enumerate().for_each(|(slot, (out, plain))| {
-            let tile = self.tile(slot);
-            let drawn = of_tile(&self.buffers.planes, slot, features.len() + 1);
-            let blocks = &self.buffers.blocks[bins.list(slot)];
-            let mut taken = TileGradients::ZERO;
-            at_level!(level, simd => {
-                taken.take(self, slot, drawn);
-                let upstream = Upstream { planes: &taken.planes, load: load.then_some(&taken.load), blocks };
-                match (features.start, features.end, statistics, load) {
-                    (0, COLORS, false, false) => unblend::<_, 0, 3, 5, false, false>(simd, &tile, &upstream, out, plain),
-                    (0, COLORS, true, false) => unblend::<_, 0, 3, 5, true, false>(simd, &tile, &upstream, out, plain),
-                    (0, COLORS, _, true) => unblend::<_, 0, 3, 5, true, true>(simd, &tile, &upstream, out, plain),
-                    (COLORS, ..) => unblend::<_, COLORS, 4, 6, false, false>(simd, &tile, &upstream, out, plain),
-                    (_, _, false, false) => unblend::<_, 0, 7, 9, false, false>(simd, &tile, &upstream, out, plain),
-                    (_, _, true, false) => unblend::<_, 0, 7, 9, true, false>(simd, &tile, &upstream, out, plain),
-                    (_, _, _, true) => unblend::<_, 0, 7, 9, true, true>(simd, &tile, &upstream, out, plain),
-                }
+        let mut rest = &mut plain[..];
+        let mut parts = Vec::new();
+        for slots in slots_of_parts(&self.layout, part_read(&self.layout)) {
+            if slots.is_empty() {
+                continue;
+            }
+            let pairs = (bins.starts[slots.end] - bins.starts[slots.start]) as usize;
+            let (own, others) = std::mem::take(&mut rest).split_at_mut(if load { pairs } else { 0 });
+            rest = others;
+            parts.push((slots, own));
+        }
+        let sums = &sums[..];
+        parts.into_par_iter().with_max_len(1).for_each(|(slots, plain)| {
+            rooms.lend(|taken| {
+                at_level!(level, simd => {
+                    taken.take(self, &slots);
+                    let part = UpstreamPart { taken, slots, plain };
+                    match (features.start, features.end, statistics, load) {
+                        (0, COLORS, false, false) => self.unblend_part::<_, 0, 3, 5, false, false>(simd, part, sums),
+                        (0, COLORS, true, false) => self.unblend_part::<_, 0, 3, 5, true, false>(simd, part, sums),
+                        (0, COLORS, _, true) => self.unblend_part::<_, 0, 3, 5, true, true>(simd, part, sums),
+                        (COLORS, ..) => self.unblend_part::<_, COLORS, 4, 6, false, false>(simd, part, sums),
+                        (_, _, false, false) => self.unblend_part::<_, 0, 7, 9, false, false>(simd, part, sums),
+                        (_, _, true, false) => self.unblend_part::<_, 0, 7, 9, true, false>(simd, part, sums),
+                        (_, _, _, true) => self.unblend_part::<_, 0, 7, 9, true, true>(simd, part, sums),
+                    }
+                })
             });
         });
+    }
+
+    /// Walks the tiles of one part back.
+    #[inline(always)]
+    fn unblend_part<
+        S: Simd,
+        const FIRST: usize,
+        const F: usize,
+        const P: usize,
+        const STATISTICS: bool,
+        const LOAD: bool,
+    >(
+        &self,
+        simd: S,
+        part: UpstreamPart<'_>,
+        sums: &[SharedLine],
+    ) {
+        let UpstreamPart { taken, slots, mut plain } = part;
+        for (k, slot) in slots.enumerate() {
+            let list = self.buffers.bins.list(slot);
+            let (own, rest) = plain.split_at_mut(if LOAD { list.len() } else { 0 });
+            plain = rest;
+            let upstream = Upstream {
+                planes: &taken.planes[k * BLOCKS * P..][..BLOCKS * P],
+                load: if LOAD { taken.load[k * BLOCKS..].first_chunk() } else { None },
+                blocks: &self.buffers.blocks[list],
+            };
+            unblend::<S, FIRST, F, P, STATISTICS, LOAD>(simd, &self.tile(slot), &upstream, sums, own);
+        }
     }
 
     /// Gaussians with a pair for which `of_pair` is not 0, ascending.

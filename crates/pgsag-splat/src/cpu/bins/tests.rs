@@ -78,10 +78,8 @@ fn lists_are_by_depth_then_index_and_places_lead_back() {
     bins.fill(40);
     let mut pairs = 0;
     for slot in 0..40 {
-        let list: Vec<(u32, u32)> = bins.gaussians[bins.list(slot)]
-            .iter()
-            .map(|g| (entries[g.load(Relaxed) as usize].depth, g.load(Relaxed)))
-            .collect();
+        let listed = bins.listed(bins.list(slot)).iter().map(|listed| listed.load(Relaxed) as u32);
+        let list: Vec<(u32, u32)> = listed.map(|gaussian| (entries[gaussian as usize].depth, gaussian)).collect();
         assert!(list.is_sorted());
         pairs += list.len();
     }
@@ -89,7 +87,8 @@ fn lists_are_by_depth_then_index_and_places_lead_back() {
     for entry in &entries {
         for pair in entry.first..entry.first + entry.count {
             let place = bins.places[pair as usize].load(Relaxed) as usize;
-            assert_eq!(bins.gaussians[place].load(Relaxed), entry.gaussian);
+            let listed = bins.listed(place..place + 1)[0].load(Relaxed);
+            assert_eq!(listed, u64::from(pair) << 32 | u64::from(entry.gaussian));
             assert!(bins.list(tiles[pair as usize] as usize).contains(&place));
         }
     }
