@@ -177,7 +177,10 @@ fn lines(group: &str, benches: &[Bench], gflops: f64) -> Vec<Value> {
     match group {
         "growth" => lines.push(report::growth_line("gaussians", &benches.iter().collect::<Vec<_>>())),
         "size" => lines.push(report::growth_line("pixels", &[&benches[0], &benches[2]])),
-        "threads" => lines.extend(benches.chunks_exact(2).map(|two| report::efficiency_line(&two[0], &two[1]))),
+        "threads" | "trained" => {
+            let pairs = benches.windows(2).filter(|two| two[1].case.threads == 2);
+            lines.extend(pairs.map(|two| report::efficiency_line(&two[0], &two[1])));
+        }
         _ => {}
     }
     lines
@@ -212,7 +215,9 @@ fn trained_lines(arguments: &Arguments, gflops: f64) -> Result<Vec<Value>, Failu
     let pinhole = scene.cameras[0].pinhole;
     let case = Case { gaussians: scene.cloud.len(), size: (pinhole.width, pinhole.height), ..Case::PLAIN };
     let two_views = Case { patches: 25_600, ..case };
-    let cases = [Case { planes: false, ..case }, case, two_views, Case { sparse: true, ..two_views }];
+    let on_two = |case: Case| [case, Case { threads: 2, ..case }];
+    let one_thread = [Case { planes: false, ..case }, Case { sparse: true, ..two_views }];
+    let cases = [one_thread, on_two(case), on_two(two_views)].concat();
     let mut benches =
         cases.iter().map(|case| Bench::new(arguments.simd, *case, &scene)).collect::<Result<Vec<_>, _>>()?;
     take_turns(&mut benches, arguments.rounds)?;
