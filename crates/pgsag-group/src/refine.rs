@@ -10,6 +10,7 @@ use pgsag_scene::{Image, Map, Mask, PixelClass};
 use serde::{Deserialize, Serialize};
 
 use crate::distance::signed_distance;
+use crate::fringe::trim;
 use crate::label::Label;
 use crate::superpixel::superpixels;
 use crate::surface::{NO_POINT, Seen};
@@ -79,20 +80,26 @@ pub struct Drawing<'a> {
     pub is_witnessed: &'a dyn Fn(u32) -> bool,
     /// Share of a superpixel's points that must agree for the superpixel to take their label as a whole.
     pub agreement: f32,
+    /// How far buildings are drawn past their edges, pixels of the image ([`fringe`](crate::fringe)).
+    pub fringe_px: f32,
+}
+
+/// The labels of the nearest points, `[points]`, as they are drawn, at a size in pixels.
+#[must_use]
+pub fn raw_labels(seen: &Seen, labels: &[Label], width: u32, height: u32) -> Map<Label> {
+    let label = |point: &u32| if *point == NO_POINT { Label::Unknown } else { labels[*point as usize] };
+    seen.point.mapped(label).resized_nearest(width, height)
 }
 
 /// What the drawn points say of every pixel of the image: their labels, taken over whole superpixels where most of their
 /// points agree.
 #[must_use]
 pub fn drawn_labels(drawing: &Drawing<'_>, image: &Image, options: &RefineOptions) -> Map<Label> {
-    let Drawing { seen, labels, is_witnessed, agreement } = *drawing;
-    let label = |point: u32| if point == NO_POINT { Label::Unknown } else { labels[point as usize] };
-    let (width, height) = (seen.point.width, seen.point.height);
-    let small = Map { width, height, values: seen.point.values.iter().map(|point| label(*point)).collect() };
-    let mut drawn = small.resized_nearest(image.width, image.height);
+    let Drawing { seen, labels, is_witnessed, agreement, fringe_px } = *drawing;
+    let mut drawn = raw_labels(seen, labels, image.width, image.height);
+    trim(&mut drawn, fringe_px);
     let witness = |point: &u32| *point != NO_POINT && is_witnessed(*point);
-    let witnessed = Map { width, height, values: seen.point.values.iter().map(witness).collect() };
-    let witnessed = witnessed.resized_nearest(image.width, image.height);
+    let witnessed = seen.point.mapped(witness).resized_nearest(image.width, image.height);
     silence(&mut drawn, &witnessed, WITNESS_SUPERPIXELS * options.superpixel_px.max(1));
     let patches = superpixels(image, options.superpixel_px);
     let mut counts = vec![[0f32; 3]; patches.count];
@@ -154,9 +161,17 @@ const NOISE_SHARE: f64 = 0.025;
 /// One of which more is contradicted deserves little trust: half as wide contradictions count.
 const DISTRUST_SHARE: f64 = 0.06;
 
-/// A given mask, overruled where what is drawn contradicts it over more than twice `reach_px`.
+/// A mask that lacks more than this share of the buildings that are drawn knows nothing of them.
+const BLIND_SHARE: f64 = 0.5;
+
+/// A given mask, overruled where what is drawn contradicts it over more than twice `reach_px`; what is drawn alone where it
+/// lacks most of that.
 #[must_use]
 pub fn corrected(given: &Map<bool>, drawn: &Map<Label>, reach_px: f32) -> Map<bool> {
+    let pixels = || given.values.iter().zip(&drawn.values).filter(|(_, label)| **label == Label::Building);
+    if pixels().filter(|(given, _)| !**given).count() as f64 > BLIND_SHARE * pixels().count() as f64 {
+        return mask_of_labels(drawn, (reach_px * reach_px) as usize, (4.0 * reach_px) as u32);
+    }
     let building =
         given.values.iter().zip(&drawn.values).filter(|(given, label)| **given || **label == Label::Building);
     let building = building.count().max(1) as f64;

@@ -29,6 +29,12 @@ impl<T: Copy> Map<T> {
     pub fn set(&mut self, x: u32, y: u32, value: T) {
         self.values[y as usize * self.width as usize + x as usize] = value;
     }
+
+    /// A map of what a function makes of every pixel.
+    #[must_use]
+    pub fn mapped<U>(&self, of: impl Fn(&T) -> U) -> Map<U> {
+        Map { width: self.width, height: self.height, values: self.values.iter().map(of).collect() }
+    }
 }
 
 impl<T: Copy> Map<T> {

@@ -187,8 +187,8 @@ impl Config {
             Preset::Fast => Self { train: TrainOptions::fast(), ..standard },
             Preset::Paper => {
                 let initialise = InitialiseOptions { sh_degree: 3, ..standard.initialise };
-                // The paper trains every group for all steps.
-                let groups = GroupingOptions { equal_looks: false, ..standard.groups };
+                // The paper trains every group for all steps, and on nothing but its buildings.
+                let groups = GroupingOptions { equal_looks: false, collar_px: 0.0, ..standard.groups };
                 Self { train: TrainOptions::paper(), initialise, groups, ..standard }
             }
         }

@@ -45,6 +45,8 @@ pub struct GroupingOptions {
     pub max_eps_m: f64,
     /// How far a part of a cut cluster sees into the others, metres.
     pub halo_m: f64,
+    /// How far around its buildings a group is trained on the ground, pixels at the median distance; 0: not at all.
+    pub collar_px: f64,
     /// Clusters of fewer points, or of fewer than lie on 25 m², join one within two radii, or the background.
     pub min_points: usize,
     /// Clusters of more points are cut; 0: as many as training fits into `--memory-limit` twice.
@@ -64,6 +66,7 @@ impl Default for GroupingOptions {
             min_eps_m: 2.0,
             max_eps_m: 8.0,
             halo_m: 12.0,
+            collar_px: 12.0,
             min_points: 200,
             max_points: 0,
             min_seen_share: 0.02,
@@ -333,18 +336,21 @@ fn extent(scene: &Scene, groups: &[Group], config: &Config) -> Option<Extent> {
     let mut distances = Vec::new();
     for group in groups {
         for view in &group.views {
-            let view = &scene.views[view.view_index as usize];
-            let focal_px = training_camera(&view.camera, config.image_width).focal_px();
-            // A few hundred points tell the median as well as all.
-            for index in group.points.iter().step_by(group.points.len().div_ceil(300)) {
-                let seen = view.camera_from_world.transform_point(scene.points[*index as usize].position_world);
-                if view.camera.project(seen).is_some_and(|at| view.camera.contains(at)) {
-                    distances.push(seen.z / focal_px);
-                }
-            }
+            distances.extend(samplings(scene, view.view_index as usize, &group.points, config));
         }
     }
     Some(Extent { low: low - margin, high: high + margin, gsd: median(&mut distances)? })
+}
+
+/// Ground sampling distances of a view at some of `points`, scene units per pixel of the training image.
+fn samplings(scene: &Scene, view: usize, points: &[u32], config: &Config) -> Vec<f64> {
+    let view = &scene.views[view];
+    let focal_px = training_camera(&view.camera, config.image_width).focal_px();
+    // A few hundred points tell the median as well as all.
+    let some = points.iter().step_by(points.len().div_ceil(300).max(1));
+    let seen = some.map(|index| view.camera_from_world.transform_point(scene.points[*index as usize].position_world));
+    let is_in = |at: &DVec3| view.camera.project(*at).is_some_and(|px| view.camera.contains(px));
+    seen.filter(is_in).map(|at| at.z / focal_px).collect()
 }
 
 /// Everything, in every view.

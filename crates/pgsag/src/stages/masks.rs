@@ -9,7 +9,8 @@ use glam::DVec3;
 use pgsag_group::Segmenter;
 use pgsag_group::geometry::{self, Points};
 use pgsag_group::plan::PlanFrame;
-use pgsag_group::refine::{Drawing, drawn_labels, mask_of_labels};
+use pgsag_group::fringe::fringe_px;
+use pgsag_group::refine::{Drawing, drawn_labels, mask_of_labels, raw_labels};
 use pgsag_group::segment::named;
 use pgsag_group::surface::Surface;
 use pgsag_scene::Map;
@@ -353,14 +354,23 @@ fn by_geometry(
     let photographs = Photographs::new(imported, config, job, 0);
     let witnesses = coarse.witnesses(config);
     let done = std::sync::atomic::AtomicU64::new(0);
+    let seen = |view: usize| {
+        let (camera, pose) = (photographs.camera(view), &imported.scene.views[view].camera_from_world);
+        surface.render(&surface.buffer_camera(&camera, pose), pose, |_| true)
+    };
+    let labels = &found.labels;
+    let fringe_px = fringe_px(views, |view| -> Result<_> {
+        job.check()?;
+        let image = photographs.whole(view)?;
+        Ok((raw_labels(&seen(view), labels, image.width, image.height), image))
+    })?;
+    job.say(&format!("buildings are drawn {fringe_px:.1} pixels past their edges; that is cut off"));
+    let fringe_px = fringe_px as f32;
     let draw = |&view: &usize| {
         job.check()?;
-        let camera = photographs.camera(view);
-        let pose = &imported.scene.views[view].camera_from_world;
-        let seen = surface.render(&surface.buffer_camera(&camera, pose), pose, |_| true);
         let is_witnessed = |point: u32| witnesses.include(point as usize, view);
-        let labels = &found.labels;
-        let drawing = Drawing { seen: &seen, labels, is_witnessed: &is_witnessed, agreement: AGREEMENT };
+        let seen = seen(view);
+        let drawing = Drawing { seen: &seen, labels, is_witnessed: &is_witnessed, agreement: AGREEMENT, fringe_px };
         let drawn = drawn_labels(&drawing, photographs.whole(view)?.as_ref(), &config.refine);
         let side = config.refine.superpixel_px;
         let mask = mask_of_labels(&drawn, (SPECK_SUPERPIXELS * side.pow(2)) as usize, GAP_SUPERPIXELS * side);

@@ -6,8 +6,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Result;
 use pgsag_group::edges::inner_edges;
+use pgsag_group::fringe::fringe_px;
 use pgsag_group::refine::{
-    Drawing, RefineOptions, background_classes, building_classes, corrected, drawn_labels, fill_segments,
+    Drawing, RefineOptions, background_classes, building_classes, corrected, drawn_labels, fill_segments, raw_labels,
 };
 use pgsag_group::surface::{Seen, Surface};
 use pgsag_group::{GroupKind, Label, Segmenter};
@@ -137,12 +138,13 @@ pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
     let coarse = if is_used { job.read("coarse")? } else { Coarse::default() };
     let surface = Surface::new(coarse.points.iter().map(|point| point.position_world).collect());
     let witnesses = coarse.witnesses(&config);
-    let pencil = Pencil { witnesses, surface, labels, photographs, imported: &imported };
+    let mut pencil = Pencil { witnesses, surface, labels, photographs, imported: &imported, fringe_px: 0.0 };
+    let views = batch_views(job, view_count);
+    pencil.fringe_px = pencil.measured_fringe(job, &views)?;
     let asker = segmenter.filter(|_| is_used).map(|segmenter| Asker::new(job, &config, &pencil, segmenter));
     let all = segmenter.filter(|_| is_used && config.refine.everything);
     let (masks, turn) = (job.input("masks"), Mutex::new(()));
     let done = AtomicU64::new(0);
-    let views = batch_views(job, view_count);
     let refined = |&view: &usize| -> Result<Option<(usize, u64, u64)>> {
         job.check()?;
         let Some(given) = mask_of(&masks, view, states[view])? else { return Ok(None) };
@@ -187,6 +189,8 @@ struct Pencil<'a> {
     labels: Vec<Label>,
     photographs: Photographs,
     imported: &'a Imported,
+    /// How far buildings are drawn past their edges.
+    fringe_px: f32,
 }
 
 impl Pencil<'_> {
@@ -194,6 +198,20 @@ impl Pencil<'_> {
     fn seen(&self, view: usize) -> Seen {
         let (camera, pose) = (self.photographs.camera(view), &self.imported.scene.views[view].camera_from_world);
         self.surface.render(&self.surface.buffer_camera(&camera, pose), pose, |_| true)
+    }
+
+    /// How far the points draw buildings past their edges, pixels.
+    fn measured_fringe(&self, job: &Job<'_>, views: &[usize]) -> Result<f32> {
+        if self.surface.is_empty() {
+            return Ok(0.0);
+        }
+        let fringe = fringe_px(views, |view| -> Result<_> {
+            job.check()?;
+            let image = self.photographs.whole(view)?;
+            Ok((raw_labels(&self.seen(view), &self.labels, image.width, image.height), image))
+        })?;
+        job.say(&format!("the points draw buildings {fringe:.1} pixels past their edges"));
+        Ok(fringe as f32)
     }
 
     /// Where buildings part inside of a mask; `None` where there is no edge.
@@ -224,8 +242,13 @@ impl Pencil<'_> {
         }
         let (camera, seen) = (self.photographs.camera(view), self.seen(view));
         let is_witnessed = |point: u32| self.witnesses.include(point as usize, view);
-        let drawing =
-            Drawing { seen: &seen, labels: &self.labels, is_witnessed: &is_witnessed, agreement: SURE_AGREEMENT };
+        let drawing = Drawing {
+            seen: &seen,
+            labels: &self.labels,
+            is_witnessed: &is_witnessed,
+            agreement: SURE_AGREEMENT,
+            fringe_px: self.fringe_px,
+        };
         let mut drawn = drawn_labels(&drawing, self.photographs.whole(view)?.as_ref(), options);
         if let Some(segments) = segments {
             fill_segments(&mut drawn, segments, SURE_AGREEMENT);

@@ -3,6 +3,7 @@
 
 use anyhow::Result;
 use glam::DVec3;
+use pgsag_group::collar::collars;
 use pgsag_group::group::origin_of;
 use pgsag_group::surface::{NO_POINT, Seen};
 use pgsag_group::territory::{
@@ -14,7 +15,7 @@ use pgsag_scene::{Map, Pinhole, Scene};
 use rayon::prelude::*;
 
 use super::divide::Division;
-use super::{is_trainable, write_share};
+use super::{is_trainable, samplings, write_share};
 use crate::config::Config;
 use crate::photographs::training_camera;
 use crate::run::stage::Job;
@@ -132,9 +133,10 @@ impl Patrol<'_, '_> {
     }
 
     fn drafts(&self, division: &Division) -> Vec<Draft> {
-        let buildings = division.clusters.iter().map(|cluster| Draft {
+        let collars = self.collars(division);
+        let buildings = division.clusters.iter().zip(&collars).map(|(cluster, collar)| Draft {
             kind: GroupKind::Building,
-            points: cluster.core.iter().chain(&cluster.halo).copied().collect(),
+            points: cluster.core.iter().chain(&cluster.halo).chain(collar).copied().collect(),
             core_count: cluster.core.len(),
         });
         let plan = |point: &u32| division.frame.plan(self.scene.points[*point as usize].position_world);
@@ -147,6 +149,20 @@ impl Patrol<'_, '_> {
             Draft { kind: GroupKind::Background, points, core_count }
         });
         buildings.chain(grounds).collect()
+    }
+
+    /// The ground about every cluster of buildings.
+    fn collars(&self, division: &Division) -> Vec<Vec<u32>> {
+        let views = (0..self.scene.views.len()).filter(|view| self.used[*view]);
+        let mut gsds: Vec<f64> =
+            views.flat_map(|view| samplings(self.scene, view, &division.background, self.config)).collect();
+        let reach = match self.config.groups.collar_px {
+            px if px > 0.0 => median(&mut gsds).map_or(0.0, |gsd| (px * gsd).max(2.0 * division.surface.spacing)),
+            _ => 0.0,
+        };
+        let cores: Vec<&[u32]> = division.clusters.iter().map(|cluster| cluster.core.as_slice()).collect();
+        let positions: Vec<DVec3> = self.scene.points.iter().map(|point| point.position_world).collect();
+        collars(&cores, &division.background, &positions, &division.frame, reach)
     }
 
     fn folder(&self, draft: usize) -> std::path::PathBuf {
@@ -178,7 +194,7 @@ impl Patrol<'_, '_> {
         let mut found = Vec::new();
         if known.is_some() {
             let edges = edges_of(&self.job.input("refine"), view)?;
-            ward.buildings(&building, edges.as_ref(), &mut found)?;
+            ward.buildings(&building, edges.as_ref(), labels, &mut found)?;
         }
         ward.grounds(&building, &mut found)?;
         Ok(found)
@@ -257,10 +273,21 @@ impl Ward<'_, '_, '_> {
         self.drafts.get(draft as usize).map(|draft| draft.kind)
     }
 
-    fn buildings(&self, building: &Map<bool>, edges: Option<&Map<bool>>, found: &mut Vec<Sighting>) -> Result<()> {
-        let is_building = |point: u32| self.kind(self.claims.owner[point as usize]) == Some(GroupKind::Building);
-        let points = territory(&self.seen, building, is_building);
-        for draft in self.claims.present(&points) {
+    fn buildings(
+        &self,
+        building: &Map<bool>,
+        edges: Option<&Map<bool>>,
+        labels: &[Label],
+        found: &mut Vec<Sighting>,
+    ) -> Result<()> {
+        let owner = |point: u32| self.claims.owner[point as usize];
+        let is_building = |point: u32| self.kind(owner(point)) == Some(GroupKind::Building);
+        // Buildings beyond the area of interest are nobody's, but their pixels are theirs.
+        let is_beyond = |point: u32| owner(point) == u32::MAX && labels[point as usize] == Label::Building;
+        let mut points = territory(&self.seen, building, |point| is_building(point) || is_beyond(point));
+        self.add_collars(&mut points, building, is_building);
+        let is_building = |draft: &u32| self.kind(*draft) == Some(GroupKind::Building);
+        for draft in self.claims.present(&points).into_iter().filter(is_building) {
             let standing = self.standing(&points, draft);
             let Some(view) = self.sighting(&standing, draft, true) else { continue };
             let pose = &self.patrol.scene.views[self.view].camera_from_world;
@@ -274,6 +301,18 @@ impl Ward<'_, '_, '_> {
             found.push((draft, self.kept(draft, view, &share)?));
         }
         Ok(())
+    }
+
+    /// Outside of the buildings: the points of the ground that lie in a group's collar.
+    fn add_collars(&self, points: &mut Map<u32>, building: &Map<bool>, is_building: impl Fn(u32) -> bool) {
+        let outside = building.values.iter().map(|is_building| !is_building).collect();
+        let outside = Map { width: building.width, height: building.height, values: outside };
+        let ground = territory(&self.seen, &outside, |point| !is_building(point));
+        for (point, ground) in points.values.iter_mut().zip(&ground.values) {
+            if *ground != NO_POINT && !self.claims.halo_of(*ground).is_empty() {
+                *point = *ground;
+            }
+        }
     }
 
     fn grounds(&self, building: &Map<bool>, found: &mut Vec<Sighting>) -> Result<()> {
