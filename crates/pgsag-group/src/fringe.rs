@@ -22,6 +22,8 @@ const KNOWN_PX: f32 = 4.0;
 const MIN_CREST: f64 = 0.1;
 /// Fewer pixels at any distance tell nothing.
 const MIN_PIXELS: f64 = 200.0;
+/// Depth that a surface gains from pixel to pixel, in widths of a pixel: more is a step.
+const SLOPE: f64 = 2.0;
 /// So many views tell as well as all.
 const MOST_VIEWS: usize = 24;
 /// Bins of a profile.
@@ -117,14 +119,33 @@ pub fn fringe_px<E: Send>(
     Ok(all.fringe_px())
 }
 
-/// Labels whose buildings end `fringe_px` earlier where background begins. Where nothing is known they stay.
-pub fn trim(drawn: &mut Map<Label>, fringe_px: f32) {
+/// Ends buildings `fringe_px` earlier where they hide background: where the nearest background pixel lies behind by more than
+/// slopes explain. At the feet of facades, where both are one surface, and where nothing is known, labels stay. `depth` is
+/// of the size of the labels, z in any unit; `focal_px` of their camera.
+pub fn trim(drawn: &mut Map<Label>, depth: &Map<f32>, fringe_px: f32, focal_px: f64) {
     if fringe_px <= 0.0 {
         return;
     }
     let to_background = signed_distance(&drawn.mapped(|label| *label == Label::Background));
-    for (label, far) in drawn.values.iter_mut().zip(&to_background.values) {
-        if *label == Label::Building && *far < fringe_px {
+    let (width, height) = (drawn.width, drawn.height);
+    let is_fringe = |at: usize| {
+        let far = to_background.values[at];
+        if drawn.values[at] != Label::Building || far >= fringe_px {
+            return false;
+        }
+        let (x, y) = (at as u32 % width, at as u32 / width);
+        let reach = far.ceil() as u32 + 1;
+        let around = (y.saturating_sub(reach)..(y + reach + 1).min(height))
+            .flat_map(|v| (x.saturating_sub(reach)..(x + reach + 1).min(width)).map(move |u| (u, v)));
+        let background = around.filter(|(u, v)| drawn.at(*u, *v) == Label::Background);
+        let nearest = background.min_by_key(|(u, v)| u.abs_diff(x).pow(2) + v.abs_diff(y).pow(2));
+        let z = f64::from(depth.values[at]);
+        let slope = SLOPE * f64::from(reach) * z / focal_px;
+        nearest.is_some_and(|(u, v)| f64::from(depth.at(u, v)) - z > slope)
+    };
+    let fringe: Vec<bool> = (0..drawn.values.len()).into_par_iter().map(is_fringe).collect();
+    for (label, is_fringe) in drawn.values.iter_mut().zip(fringe) {
+        if is_fringe {
             *label = Label::Background;
         }
     }
@@ -160,7 +181,11 @@ mod tests {
             profile.add(&profile.clone());
             let fringe = profile.fringe_px();
             assert!((fringe - f64::from(by)).abs() < 0.6, "{by}: {fringe}");
-            trim(&mut drawn, fringe as f32);
+            let mut at_foot = drawn.clone();
+            trim(&mut at_foot, &Map::filled(140, 120, 10.0), fringe as f32, 100.0);
+            assert_eq!(at_foot, drawn, "one surface goes on");
+            let depth = drawn.mapped(|label| if *label == Label::Building { 10.0 } else { 13.0 });
+            trim(&mut drawn, &depth, fringe as f32, 100.0);
             let true_label = scene(0, 100).0;
             let wrong = drawn.values.iter().zip(&true_label.values).filter(|(a, b)| a != b).count();
             assert!(wrong <= 4 * (by * by) as usize, "{by}: {wrong} pixels, the corners are round");
@@ -174,7 +199,7 @@ mod tests {
         let nothing = Map::filled(140, 120, Label::Background);
         assert_eq!(Profile::of(&nothing, &image).fringe_px(), 0.0);
         let mut kept = drawn.clone();
-        trim(&mut kept, 0.0);
+        trim(&mut kept, &Map::filled(140, 120, 10.0), 0.0, 100.0);
         assert_eq!(kept, drawn);
     }
 }

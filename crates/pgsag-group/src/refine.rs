@@ -97,7 +97,8 @@ pub fn raw_labels(seen: &Seen, labels: &[Label], width: u32, height: u32) -> Map
 pub fn drawn_labels(drawing: &Drawing<'_>, image: &Image, options: &RefineOptions) -> Map<Label> {
     let Drawing { seen, labels, is_witnessed, agreement, fringe_px } = *drawing;
     let mut drawn = raw_labels(seen, labels, image.width, image.height);
-    trim(&mut drawn, fringe_px);
+    let focal_px = seen.camera.focal_px() * f64::from(image.width) / f64::from(seen.camera.width);
+    trim(&mut drawn, &seen.depth.resized_nearest(image.width, image.height), fringe_px, focal_px);
     let witness = |point: &u32| *point != NO_POINT && is_witnessed(*point);
     let witnessed = seen.point.mapped(witness).resized_nearest(image.width, image.height);
     silence(&mut drawn, &witnessed, WITNESS_SUPERPIXELS * options.superpixel_px.max(1));
