@@ -24,6 +24,7 @@ fn base(done: &[Done], scene: &str) -> Option<Base> {
             f1: [mean(|one| one.f1[0]), mean(|one| one.f1[1])],
             accuracy_m: mean(|one| one.accuracy_m),
             completeness_m: mean(|one| one.completeness_m),
+            edge_m: mean(|one| one.edge_m),
             gaussians: mean(|one| one.gaussians),
             cpu_secs: mean(|one| one.cpu_secs),
         },
@@ -41,7 +42,7 @@ pub(super) fn page(scenes: &[&str], done: &[Done], iterations: u32, commit: &str
     let mut text = format!(
         "# What each part is worth\n\nMade by `cargo x ablate`; not written by hand. Preset `fast`, {iterations} steps, commit {commit}. \
          Differences are to\nthe mean of the base over {} seeds; **bold** rows differ in F1 by more than those seeds do among \
-         themselves. Accuracy: mean distance\nfrom mesh to truth; completeness: from truth to mesh. CPU: the whole run, what \
+         themselves. Accuracy: mean distance\nfrom mesh to truth; completeness: from truth to mesh; edges: accuracy within 0.5 m of the truth's edges. CPU: the whole run, what \
          the base had done included.\n",
         SEEDS.len()
     );
@@ -55,8 +56,8 @@ pub(super) fn page(scenes: &[&str], done: &[Done], iterations: u32, commit: &str
                 base.spread[0], base.spread[1]
             );
         }
-        text += "| row | settings | F1 0.1 m | F1 0.2 m | accuracy, cm | completeness, cm | Gaussians | CPU-s |\n";
-        text += "|---|---|---|---|---|---|---|---|\n";
+        text += "| row | settings | F1 0.1 m | F1 0.2 m | accuracy, cm | completeness, cm | edges, cm | Gaussians | CPU-s |\n";
+        text += "|---|---|---|---|---|---|---|---|---|\n";
         for done in of {
             text += &line(done, base.as_ref());
         }
@@ -68,7 +69,7 @@ fn line(done: &Done, base: Option<&Base>) -> String {
     let settings: Vec<String> = done.row.set.iter().map(|set| format!("`{set}`")).collect();
     let settings = if settings.is_empty() { format!("seed {}", done.row.seed) } else { settings.join(" ") };
     let Some(figures) = &done.figures else {
-        return format!("| {} | {settings} | failed | | | | | |\n", done.row.what);
+        return format!("| {} | {settings} | failed | | | | | | |\n", done.row.what);
     };
     let difference = |value: f64, of: fn(&Figures) -> f64, digits: usize| match base {
         Some(base) if !done.row.is_base() => format!("{value:.digits$} ({:+.digits$})", value - of(&base.mean)),
@@ -77,11 +78,12 @@ fn line(done: &Done, base: Option<&Base>) -> String {
     let is_bold = !done.row.is_base() && base.is_some_and(|base| counts(figures, base));
     let what = if is_bold { format!("**{}**", done.row.what) } else { done.row.what.to_owned() };
     format!(
-        "| {what} | {settings} | {} | {} | {} | {} | {:.0} | {:.0} |\n",
+        "| {what} | {settings} | {} | {} | {} | {} | {} | {:.0} | {:.0} |\n",
         difference(figures.f1[0], |one| one.f1[0], 3),
         difference(figures.f1[1], |one| one.f1[1], 3),
         difference(100.0 * figures.accuracy_m, |one| 100.0 * one.accuracy_m, 2),
         difference(100.0 * figures.completeness_m, |one| 100.0 * one.completeness_m, 2),
+        difference(100.0 * figures.edge_m, |one| 100.0 * one.edge_m, 2),
         figures.gaussians,
         figures.cpu_secs,
     )

@@ -29,7 +29,14 @@ fn a_row_counts_where_it_leaves_the_spread_of_the_seeds() {
 
 #[test]
 fn figures_are_remembered_by_what_decided_them() {
-    let figures = Figures { f1: [0.5, 0.75], accuracy_m: 0.03, completeness_m: 0.05, gaussians: 12.0, cpu_secs: 90.5 };
+    let figures = Figures {
+        f1: [0.5, 0.75],
+        accuracy_m: 0.03,
+        completeness_m: 0.05,
+        edge_m: 0.06,
+        gaussians: 12.0,
+        cpu_secs: 90.5,
+    };
     let text = figures.to_text("abc 800 0 []");
     assert_eq!(Figures::remembered(&text, "abc 800 0 []"), Some(figures));
     assert_eq!(Figures::remembered(&text, "def 800 0 []"), None);
@@ -48,7 +55,9 @@ fn words_are_understood_and_rows_are_known() {
     let all = rows();
     assert!(all.iter().enumerate().all(|(k, row)| all[..k].iter().all(|other| other.name != row.name)));
     assert!(
-        all.iter().flat_map(|row| row.set).all(|set| set.split_once('=').is_some_and(|(key, _)| key.contains('.')))
+        all.iter()
+            .flat_map(|row| row.set)
+            .all(|set| set.split_once('=').is_some_and(|(key, _)| key.contains('.') || key == "image_width"))
     );
 }
 
