@@ -24,6 +24,7 @@ pub use options::{Align, BuildingScore, Distances, Protocol, Score, ScoreOptions
 pub use panoptic::{Panoptic, off_buildings, panoptic};
 pub use picture::{Nearest, distance_color};
 
+use crop::in_polygon;
 use judge::Known;
 use published::{Rules, smallest, truth_cloud};
 
@@ -93,8 +94,24 @@ fn identity(mesh: &Mesh, truth: &Truth<'_>, options: &ScoreOptions) -> Option<Pa
     };
     let cell = options.plan_cell_m / options.metres_per_unit;
     let is_judged = |building: u32| seen.as_ref().is_none_or(|seen| seen.contains(&building));
-    let found = panoptic(mesh, scene, DVec3::from(options.up), cell, is_judged)?;
+    let up = DVec3::from(options.up);
+    let found = match &options.crop {
+        Some(area) => panoptic(&cropped(mesh, area), &cropped(scene, area), up, cell, is_judged)?,
+        None => panoptic(mesh, scene, up, cell, is_judged)?,
+    };
     Some(Panoptic { cell_m: options.plan_cell_m, ..found })
+}
+
+/// The faces whose centre lies in a polygon, with their buildings.
+fn cropped(mesh: &Mesh, polygon: &[[f64; 2]]) -> Mesh {
+    let is_inside = |face: &usize| {
+        let middle = mesh.triangle(*face).map(DVec3::from).iter().sum::<DVec3>() / 3.0;
+        in_polygon(polygon, middle.x, middle.y)
+    };
+    let kept: Vec<usize> = (0..mesh.faces.len()).filter(is_inside).collect();
+    let buildings = kept.iter().filter_map(|face| mesh.buildings.get(*face).copied()).collect();
+    let faces = kept.iter().map(|face| mesh.faces[*face]).collect();
+    Mesh { vertices: mesh.vertices.clone(), faces, buildings, ..Mesh::default() }
 }
 
 /// One verdict per threshold, since the clouds are thinned to it; distances are those of the smallest.

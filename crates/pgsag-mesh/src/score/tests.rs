@@ -163,6 +163,14 @@ fn cropping_judges_the_inside_alone() {
     left.crop = Some(vec![[-1.0, -1.0], [1.0, -1.0], [1.0, 2.0], [-1.0, 2.0]]);
     let row = &score(&mesh, &Truth::Mesh(&truth), &left).unwrap().scores[0];
     assert_eq!((row.precision, row.recall), (1.0, 1.0));
+    // Of two true buildings the mesh has the one that lies inside.
+    let housed = |mesh: Mesh, building: u32| Mesh { buildings: vec![building; mesh.faces.len()], ..mesh };
+    let truth = crate::merge::merge(&[housed(plate(0.0, 1.0, 0.0), 1), housed(plate(3.0, 4.0, 0.0), 2)]);
+    let quality = |options: &ScoreOptions| {
+        score(&housed(mesh.clone(), 7), &Truth::Mesh(&truth), options).unwrap().panoptic.map(|found| found.quality)
+    };
+    assert_eq!(quality(&left), Some(1.0));
+    assert!(quality(&options(&[0.1])) < Some(0.7));
     assert!(in_polygon(&[[0.0, 0.0], [2.0, 0.0], [1.0, 2.0]], 1.0, 1.0));
     assert!(!in_polygon(&[[0.0, 0.0], [2.0, 0.0], [1.0, 2.0]], 1.9, 1.0));
 }

@@ -102,7 +102,8 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
             job.check()?;
             let view = &imported.scene.views[view_index];
             let camera = training_camera(&view.camera, config.image_width);
-            let look = Look { job, groups: &groups, overlap_px: config.refine.overlap_px, voxel: extent.gsd };
+            let overlap_px = if config.groups.collar_px > 0.0 { 0.0 } else { config.refine.overlap_px };
+            let look = Look { job, groups: &groups, overlap_px, voxel: extent.gsd };
             let Some(canvas) = look.fuse_view(view_index, &camera)? else { return Ok(None) };
             write_depth(job.output(), view_index, &canvas.depth, &canvas.weight)?;
             write(&job.output().join(view_file(view_index, "group.png")), &encode_instances_png(&canvas.group))?;

@@ -10,6 +10,7 @@ use pgsag_scene::{Frame, Mesh};
 
 use self::evidence::{Evidence, gather, in_words};
 use self::pictures::{Easel, write_pictures};
+use super::aoi::Area;
 use super::coarse::Coarse;
 use super::group::Groups;
 use super::import::Imported;
@@ -228,7 +229,10 @@ fn scored(job: &Job<'_>, config: &Config, imported: &Imported, groups: &Groups, 
     if imported.scene.frame.metres_per_unit.is_none() {
         job.warn("the scale is unknown: thresholds count in scene units");
     }
-    let options = ScoreOptions { seed: config.seed, ..in_frame(&config.score, &imported.scene.frame) };
+    // What lies beyond the area of interest was not asked for.
+    let area = Area::of(config)?;
+    let crop = config.score.crop.clone().or_else(|| (!area.is_everything()).then(|| area.outline()));
+    let options = ScoreOptions { seed: config.seed, crop, ..in_frame(&config.score, &imported.scene.frame) };
     let mesh = job.input("merge").join("buildings.ply");
     let score = score_against(&mesh, Path::new(&config.truth), truth, &options).context("score")?;
     let points_off_buildings = if groups.masked { points_off_buildings(job, groups, truth)? } else { None };

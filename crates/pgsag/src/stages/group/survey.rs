@@ -4,6 +4,7 @@
 use anyhow::Result;
 use glam::DVec3;
 use pgsag_group::collar::collars;
+use pgsag_group::distance::signed_distance;
 use pgsag_group::group::origin_of;
 use pgsag_group::surface::{NO_POINT, Seen};
 use pgsag_group::territory::{
@@ -285,7 +286,7 @@ impl Ward<'_, '_, '_> {
         // Buildings beyond the area of interest are nobody's, but their pixels are theirs.
         let is_beyond = |point: u32| owner(point) == u32::MAX && labels[point as usize] == Label::Building;
         let mut points = territory(&self.seen, building, |point| is_building(point) || is_beyond(point));
-        self.add_collars(&mut points, building, is_building);
+        let creases = self.add_collars(&mut points, building, is_building);
         let is_building = |draft: &u32| self.kind(*draft) == Some(GroupKind::Building);
         for draft in self.claims.present(&points).into_iter().filter(is_building) {
             let standing = self.standing(&points, draft);
@@ -294,25 +295,36 @@ impl Ward<'_, '_, '_> {
             let members = &self.drafts[draft as usize].points;
             let hidden = coverage(&self.division.surface, members, &self.seen, pose, &self.camera);
             let share = building_share(&standing, view.window_px, &hidden, &self.patrol.config.refine);
-            let share = match edges {
-                Some(edges) => Share { inner_edges: cropped(edges, view.window_px), ..share },
-                None => share,
-            };
+            let inner = creases.values.iter().enumerate();
+            let inner = inner.map(|(at, crease)| *crease || edges.is_some_and(|edges| edges.values[at])).collect();
+            let inner = Map { width: creases.width, height: creases.height, values: inner };
+            let share = Share { inner_edges: cropped(&inner, view.window_px), ..share };
             found.push((draft, self.kept(draft, view, &share)?));
         }
         Ok(())
     }
 
-    /// Outside of the buildings: the points of the ground that lie in a group's collar.
-    fn add_collars(&self, points: &mut Map<u32>, building: &Map<bool>, is_building: impl Fn(u32) -> bool) {
-        let outside = building.values.iter().map(|is_building| !is_building).collect();
-        let outside = Map { width: building.width, height: building.height, values: outside };
+    /// Outside of the buildings: the points of the ground that lie in a group's collar. What is returned is near the edge
+    /// between both, where the surface has a crease that the normal loss would round.
+    fn add_collars(
+        &self,
+        points: &mut Map<u32>,
+        building: &Map<bool>,
+        is_building: impl Fn(u32) -> bool,
+    ) -> Map<bool> {
+        let outside = building.mapped(|is_building| !is_building);
         let ground = territory(&self.seen, &outside, |point| !is_building(point));
-        for (point, ground) in points.values.iter_mut().zip(&ground.values) {
+        let mut collar = Map::filled(building.width, building.height, false);
+        for (at, ground) in ground.values.iter().enumerate() {
             if *ground != NO_POINT && !self.claims.halo_of(*ground).is_empty() {
-                *point = *ground;
+                (points.values[at], collar.values[at]) = (*ground, true);
             }
         }
+        let band_px = self.patrol.config.refine.band_px;
+        let near = |map: &Map<bool>| signed_distance(map).mapped(|far| *far <= band_px);
+        let (near_collar, near_building) = (near(&collar), near(building));
+        let both = near_collar.values.iter().zip(&near_building.values).map(|(a, b)| *a && *b).collect();
+        Map { width: building.width, height: building.height, values: both }
     }
 
     fn grounds(&self, building: &Map<bool>, found: &mut Vec<Sighting>) -> Result<()> {
