@@ -65,7 +65,8 @@ impl Heights {
         for at in points {
             cells.entry(Self::cell(frame.plan(at), side)).or_default().push(frame.height(at));
         }
-        let low = cells.into_iter().filter_map(|(cell, mut heights)| Some((cell, quantile(&mut heights, GROUND_QUANTILE)?)));
+        let low =
+            cells.into_iter().filter_map(|(cell, mut heights)| Some((cell, quantile(&mut heights, GROUND_QUANTILE)?)));
         Self { side, low: low.collect() }
     }
 

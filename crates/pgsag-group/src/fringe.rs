@@ -63,7 +63,7 @@ impl Profile {
                 // Across the edge alone: along it there are bricks and shadows.
                 let across = [far.at(x + 1, y) - far.at(x - 1, y), far.at(x, y + 1) - far.at(x, y - 1)].map(f64::from);
                 let slope = [luma(x + 1, y) - luma(x - 1, y), luma(x, y + 1) - luma(x, y - 1)];
-                let length = across[0].hypot(across[1]);
+                let length = (across[0] * across[0] + across[1] * across[1]).sqrt();
                 if length > 0.0 {
                     let bin = &mut profile.bins[(distance + REACH_PX) as usize];
                     bin[0] += (across[0] * slope[0] + across[1] * slope[1]).abs() / length;

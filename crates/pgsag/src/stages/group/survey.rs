@@ -306,12 +306,7 @@ impl Ward<'_, '_, '_> {
 
     /// Outside of the buildings: the points of the ground that lie in a group's collar. What is returned is near the edge
     /// between both, where the surface has a crease that the normal loss would round.
-    fn add_collars(
-        &self,
-        points: &mut Map<u32>,
-        building: &Map<bool>,
-        is_building: impl Fn(u32) -> bool,
-    ) -> Map<bool> {
+    fn add_collars(&self, points: &mut Map<u32>, building: &Map<bool>, is_building: impl Fn(u32) -> bool) -> Map<bool> {
         let outside = building.mapped(|is_building| !is_building);
         let ground = territory(&self.seen, &outside, |point| !is_building(point));
         let mut collar = Map::filled(building.width, building.height, false);
