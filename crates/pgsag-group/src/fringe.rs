@@ -103,7 +103,13 @@ impl Profile {
     }
 }
 
-/// [`Profile::fringe_px`] over some of `views`; `drawn` gives the labels of a view and its photograph.
+/// As many of `views`, spread over all, as tell the fringe.
+#[must_use]
+pub fn some_of(views: &[usize]) -> Vec<usize> {
+    views.iter().copied().step_by(views.len().div_ceil(MOST_VIEWS).max(1)).collect()
+}
+
+/// [`Profile::fringe_px`] over `views`; `drawn` gives the labels of a view and its photograph.
 ///
 /// # Errors
 /// Those of `drawn`.
@@ -111,9 +117,8 @@ pub fn fringe_px<E: Send>(
     views: &[usize],
     drawn: impl Fn(usize) -> Result<(Map<Label>, Arc<Image>), E> + Sync,
 ) -> Result<f64, E> {
-    let some: Vec<usize> = views.iter().copied().step_by(views.len().div_ceil(MOST_VIEWS).max(1)).collect();
     let profile = |view: &usize| drawn(*view).map(|(drawn, image)| Profile::of(&drawn, &image));
-    let profiles = some.par_iter().map(profile).collect::<Result<Vec<_>, E>>()?;
+    let profiles = views.par_iter().map(profile).collect::<Result<Vec<_>, E>>()?;
     let mut all = Profile::default();
     profiles.iter().for_each(|profile| all.add(profile));
     Ok(all.fringe_px())

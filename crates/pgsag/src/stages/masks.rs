@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
 use glam::DVec3;
-use pgsag_group::Segmenter;
-use pgsag_group::fringe::fringe_px;
+use pgsag_group::fringe::{fringe_px, some_of};
 use pgsag_group::geometry::{self, Points};
 use pgsag_group::plan::PlanFrame;
 use pgsag_group::refine::{Drawing, drawn_labels, mask_of_labels, raw_labels};
 use pgsag_group::segment::named;
-use pgsag_group::surface::Surface;
+use pgsag_group::surface::{Seen, Surface};
+use pgsag_group::{Label, Segmenter};
 use pgsag_scene::Map;
 use pgsag_scene::files::folder::{SceneFolder, open_scene};
 use pgsag_scene::files::raster::{decode_instances, decode_mask, encode_instances_png, encode_mask_png};
@@ -359,13 +359,7 @@ fn by_geometry(
         surface.render(&surface.buffer_camera(&camera, pose), pose, |_| true)
     };
     let labels = &found.labels;
-    let fringe_px = fringe_px(views, |view| -> Result<_> {
-        job.check()?;
-        let image = photographs.whole(view)?;
-        Ok((raw_labels(&seen(view), labels, image.width, image.height), image))
-    })?;
-    job.say(&format!("buildings are drawn {fringe_px:.1} pixels past their edges; that is cut off"));
-    let fringe_px = fringe_px as f32;
+    let fringe_px = measured_fringe(job, views, &photographs, labels, seen)?;
     let draw = |&view: &usize| {
         job.check()?;
         let is_witnessed = |point: u32| witnesses.include(point as usize, view);
@@ -379,6 +373,27 @@ fn by_geometry(
         Ok((view, if mask.values.contains(&true) { MaskState::Buildings } else { MaskState::Empty }))
     };
     views.par_iter().map(draw).collect()
+}
+
+/// How far the points draw buildings past their edges, pixels, said aloud; `seen` is what a view sees of them.
+pub(super) fn measured_fringe(
+    job: &Job<'_>,
+    views: &[usize],
+    photographs: &Photographs,
+    labels: &[Label],
+    seen: impl Fn(usize) -> Seen + Sync,
+) -> Result<f32> {
+    let some = some_of(views);
+    let done = std::sync::atomic::AtomicU64::new(0);
+    let fringe = fringe_px(&some, |view| -> Result<_> {
+        job.check()?;
+        let image = photographs.whole(view)?;
+        let drawn = raw_labels(&seen(view), labels, image.width, image.height);
+        job.advance(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1, some.len() as u64, "edges");
+        Ok((drawn, image))
+    })?;
+    job.say(&format!("points draw buildings {fringe:.1} pixels past their edges; that is cut off"));
+    Ok(fringe as f32)
 }
 
 /// Share of a superpixel's points that must agree for it to follow them as one.

@@ -6,9 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Result;
 use pgsag_group::edges::inner_edges;
-use pgsag_group::fringe::fringe_px;
 use pgsag_group::refine::{
-    Drawing, RefineOptions, background_classes, building_classes, corrected, drawn_labels, fill_segments, raw_labels,
+    Drawing, RefineOptions, background_classes, building_classes, corrected, drawn_labels, fill_segments,
 };
 use pgsag_group::surface::{Seen, Surface};
 use pgsag_group::{GroupKind, Label, Segmenter};
@@ -19,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use super::coarse::{Coarse, Witnesses};
 use super::import::Imported;
-use super::masks::{instances_of, mask_of, states};
+use super::masks::{instances_of, mask_of, measured_fringe, states};
 use super::vote::Votes;
 use super::{
     batch_file, batch_views, batches, config, encode_classes, read, read_classes, read_json, view_file, write,
@@ -140,7 +139,10 @@ pub fn make(job: &Job<'_>, segmenter: Option<&dyn Segmenter>) -> Result<()> {
     let witnesses = coarse.witnesses(&config);
     let mut pencil = Pencil { witnesses, surface, labels, photographs, imported: &imported, fringe_px: 0.0 };
     let views = batch_views(job, view_count);
-    pencil.fringe_px = pencil.measured_fringe(job, &views)?;
+    if !pencil.surface.is_empty() {
+        let seen = |view| pencil.seen(view);
+        pencil.fringe_px = measured_fringe(job, &views, &pencil.photographs, &pencil.labels, seen)?;
+    }
     let asker = segmenter.filter(|_| is_used).map(|segmenter| Asker::new(job, &config, &pencil, segmenter));
     let all = segmenter.filter(|_| is_used && config.refine.everything);
     let (masks, turn) = (job.input("masks"), Mutex::new(()));
@@ -198,20 +200,6 @@ impl Pencil<'_> {
     fn seen(&self, view: usize) -> Seen {
         let (camera, pose) = (self.photographs.camera(view), &self.imported.scene.views[view].camera_from_world);
         self.surface.render(&self.surface.buffer_camera(&camera, pose), pose, |_| true)
-    }
-
-    /// How far the points draw buildings past their edges, pixels.
-    fn measured_fringe(&self, job: &Job<'_>, views: &[usize]) -> Result<f32> {
-        if self.surface.is_empty() {
-            return Ok(0.0);
-        }
-        let fringe = fringe_px(views, |view| -> Result<_> {
-            job.check()?;
-            let image = self.photographs.whole(view)?;
-            Ok((raw_labels(&self.seen(view), &self.labels, image.width, image.height), image))
-        })?;
-        job.say(&format!("the points draw buildings {fringe:.1} pixels past their edges"));
-        Ok(fringe as f32)
     }
 
     /// Where buildings part inside of a mask; `None` where there is no edge.

@@ -206,6 +206,7 @@ impl Patrol<'_, '_> {
         let (mut groups, mut lost) = (Vec::new(), 0);
         let mut numbers = std::collections::BTreeMap::new();
         for (number, (draft, views)) in drafts.into_iter().zip(seen).enumerate() {
+            debug_assert!(views.is_sorted_by(|a, b| a.view_index < b.view_index), "a view shows a group once");
             let is_out = |view: &GroupView| self.config.is_held_out(view.view_index as usize);
             let (held_out, views): (Vec<_>, Vec<_>) = views.into_iter().partition(is_out);
             let views = best_views(views, self.config.groups.max_views);
