@@ -20,15 +20,24 @@ use rows::{Row, SEEDS, rows};
 
 /// Steps of training where `--iterations` says nothing: those of the demo.
 const ITERATIONS: u32 = 800;
-const USAGE: &str = "cargo x ablate [--rows a,b,…] [--iterations N] [--threads N] [--binary PGSAG] [--tiny]";
+const USAGE: &str = "cargo x ablate [--scenes town,delft] [--rows a,b,…] [--iterations N] [--threads N] \
+                     [--binary PGSAG --commit ID] [--fresh] [--tiny]";
+/// The quarter of delft that its rows are run on: north, east of the model's frame, metres.
+const DELFT_AREA: &str = r#"{"type":"Polygon","coordinates":[[[5,-45],[50,-45],[50,-5],[5,-5],[5,-45]]]}"#;
 
 /// What was typed.
-#[derive(Debug, PartialEq)]
+#[derive(Debug, Default, PartialEq)]
 struct Wish {
+    /// Empty: all there are.
+    scenes: Vec<String>,
     rows: Vec<String>,
     iterations: u32,
     threads: u32,
     binary: Option<PathBuf>,
+    /// What `binary` was built of; this checkout where nothing is said.
+    commit: Option<String>,
+    /// Rows finished before are run again.
+    fresh: bool,
     tiny: bool,
 }
 
@@ -36,6 +45,8 @@ struct Wish {
 struct Scene {
     name: &'static str,
     folder: PathBuf,
+    /// Of its photographs, pixels.
+    width: u32,
     words: Vec<String>,
 }
 
@@ -43,6 +54,8 @@ struct Scene {
 struct Done {
     scene: &'static str,
     row: Row,
+    /// What it was run with.
+    commit: String,
     /// `None`: it failed.
     figures: Option<Figures>,
 }
@@ -53,19 +66,28 @@ pub(crate) fn run(root: &Path, words: &[String]) -> Result<()> {
         Some(path) => path.clone(),
         None => built(root)?,
     };
+    let commit = match &wish.commit {
+        Some(commit) => commit.clone(),
+        None => output_of(root, "git", &["describe", "--always", "--dirty"])?.trim().to_owned(),
+    };
     let work = root.join("target/ablations").join(if wish.tiny { "tiny" } else { "full" });
+    if wish.fresh {
+        remove(&work)?;
+    }
     make(&work)?;
-    let scenes = scenes(&binary, &work, wish.tiny)?;
-    let commit = output_of(root, "git", &["describe", "--always", "--dirty"])?.trim().to_owned();
+    let scenes = scenes(&binary, &work, &wish)?;
     let chosen = chosen(&wish)?;
     let mut done = Vec::new();
     for scene in &scenes {
         for row in &chosen {
-            let figures = one(&binary, &work, scene, row, &wish, &commit);
-            if let Err(message) = &figures {
-                println!("{} {}: {message}", scene.name, row.name);
-            }
-            done.push(Done { scene: scene.name, row: row.clone(), figures: figures.ok() });
+            let (commit, figures) = match one(&binary, &work, scene, row, &wish, &commit) {
+                Ok((commit, figures)) => (commit, Some(figures)),
+                Err(message) => {
+                    println!("{} {}: {message}", scene.name, row.name);
+                    (commit.clone(), None)
+                }
+            };
+            done.push(Done { scene: scene.name, row: row.clone(), commit, figures });
         }
     }
     let (page, list) = if wish.tiny {
@@ -74,23 +96,26 @@ pub(crate) fn run(root: &Path, words: &[String]) -> Result<()> {
         (root.join("docs/ablations.md"), root.join("benchmarks/ablations.json"))
     };
     let names: Vec<&str> = scenes.iter().map(|scene| scene.name).collect();
-    write(&page, &table::page(&names, &done, wish.iterations, &commit))?;
-    write(&list, &table::list(&done, wish.iterations, &commit))?;
+    write(&page, &table::page(&names, &done, wish.iterations))?;
+    write(&list, &table::list(&done, wish.iterations))?;
     println!("{} and {}", page.display(), list.display());
     Ok(())
 }
 
 fn wish(words: &[String]) -> Result<Wish> {
-    let mut wish = Wish { rows: Vec::new(), iterations: ITERATIONS, threads: 0, binary: None, tiny: false };
+    let mut wish = Wish { iterations: ITERATIONS, ..Wish::default() };
     let mut words = words.iter();
     while let Some(word) = words.next() {
         let mut value = || words.next().ok_or(format!("{word} wants a value\n{USAGE}"));
         let number = |text: &String| text.parse::<u32>().map_err(|_| format!("{text} is no number\n{USAGE}"));
         match word.as_str() {
+            "--scenes" => wish.scenes = value()?.split(',').map(str::to_owned).collect(),
             "--rows" => wish.rows = value()?.split(',').map(str::to_owned).collect(),
             "--iterations" => wish.iterations = number(value()?)?,
             "--threads" => wish.threads = number(value()?)?,
             "--binary" => wish.binary = Some(PathBuf::from(value()?)),
+            "--commit" => wish.commit = Some(value()?.clone()),
+            "--fresh" => wish.fresh = true,
             "--tiny" => wish.tiny = true,
             _ => return Err(format!("{word} is unknown\n{USAGE}")),
         }
@@ -115,38 +140,62 @@ fn built(root: &Path) -> Result<PathBuf> {
     Ok(target.join("release/pgsag"))
 }
 
-/// The town, and `delft` of `PGSAG_DATA` where there is one.
-fn scenes(binary: &Path, work: &Path, tiny: bool) -> Result<Vec<Scene>> {
-    let town = work.join("town");
-    if !town.join("truth").exists() {
+/// The town, and a quarter of `delft` where `PGSAG_DATA` has it.
+fn scenes(binary: &Path, work: &Path, wish: &Wish) -> Result<Vec<Scene>> {
+    let is_wanted = |name: &str| wish.scenes.is_empty() || wish.scenes.iter().any(|wanted| wanted == name);
+    let mut scenes = Vec::new();
+    if is_wanted("town") {
+        scenes.push(town(binary, work, wish.tiny)?);
+    }
+    if let Some(data) = std::env::var_os("PGSAG_DATA").filter(|_| is_wanted("delft")) {
+        let folder = PathBuf::from(data).join("delft");
+        if !folder.join("truth/masks").exists() {
+            return Err(format!("{}: there is no delft with its truth; see PGSAG_DATA", folder.display()));
+        }
+        let area = work.join("delft.geojson");
+        write(&area, DELFT_AREA)?;
+        let masks = folder.join("truth/masks").display().to_string();
+        let words = vec!["--masks".into(), masks, "--aoi".into(), area.display().to_string()];
+        scenes.push(Scene { name: "delft", folder, width: 800, words });
+    }
+    if scenes.is_empty() {
+        Err(format!("no scene is left: there are town and, with PGSAG_DATA, delft\n{USAGE}"))
+    } else {
+        Ok(scenes)
+    }
+}
+
+/// A town that is made here.
+fn town(binary: &Path, work: &Path, tiny: bool) -> Result<Scene> {
+    let folder = work.join("town");
+    if !folder.join("truth").exists() {
         let mut words = vec!["town", "--exact-masks", "--no-depth"];
         if tiny {
             words.extend(["--houses", "2", "--row-houses", "0", "--views", "12", "--points", "700"]);
             words.extend(["--width", "96", "--height", "64", "--gsd", "0.4"]);
         }
         let mut command = Command::new(binary);
-        finish(command.args(words).arg("-o").arg(&town), &work.join("town.log"))?;
+        finish(command.args(words).arg("-o").arg(&folder), &work.join("town.log"))?;
     }
-    let mut scenes = vec![Scene { name: "town", folder: town, words: Vec::new() }];
-    if let Some(data) = std::env::var_os("PGSAG_DATA") {
-        let folder = PathBuf::from(data).join("delft");
-        if !folder.join("truth").exists() {
-            return Err(format!("{}: there is no delft with its truth; see PGSAG_DATA", folder.display()));
-        }
-        let masks = folder.join("truth/masks");
-        let masks = if masks.exists() { masks.display().to_string() } else { "none".into() };
-        scenes.push(Scene { name: "delft", folder, words: vec!["--masks".into(), masks] });
-    }
-    Ok(scenes)
+    Ok(Scene { name: "town", folder, width: if tiny { 96 } else { 320 }, words: Vec::new() })
 }
 
-/// Runs a row, or remembers it.
-fn one(binary: &Path, work: &Path, scene: &Scene, row: &Row, wish: &Wish, commit: &str) -> Result<Figures> {
-    let identity = format!("{commit} {} {} {:?}", wish.iterations, row.seed, row.set);
+/// A setting for a scene: `image_width=1/N` is a share of its photographs' width.
+fn assignment(set: &str, scene: &Scene) -> String {
+    match set.split_once("=1/").and_then(|(key, share)| Some((key, share.parse::<u32>().ok()?))) {
+        Some((key, share)) => format!("{key}={}", scene.width / share),
+        None => set.to_owned(),
+    }
+}
+
+/// Runs a row, or remembers it with the commit that it was run with.
+fn one(binary: &Path, work: &Path, scene: &Scene, row: &Row, wish: &Wish, commit: &str) -> Result<(String, Figures)> {
+    let identity = format!("{} {} {:?}", wish.iterations, row.seed, row.set);
     let kept = work.join(format!("{}.{}.json", scene.name, row.name));
-    if let Some(figures) = std::fs::read_to_string(&kept).ok().and_then(|text| Figures::remembered(&text, &identity)) {
-        println!("{} {}: finished before", scene.name, row.name);
-        return Ok(figures);
+    let text = std::fs::read_to_string(&kept).ok();
+    if let Some((commit, figures)) = text.and_then(|text| Figures::remembered(&text, &identity)) {
+        println!("{} {}: finished before, at {commit}", scene.name, row.name);
+        return Ok((commit, figures));
     }
     println!("{} {} …", scene.name, row.name);
     let base = work.join(format!("{}.run", scene.name));
@@ -160,16 +209,16 @@ fn one(binary: &Path, work: &Path, scene: &Scene, row: &Row, wish: &Wish, commit
     command.args(["--preset", "fast", "--json", "--iterations"]).arg(wish.iterations.to_string());
     command.arg("--truth").arg(scene.folder.join("truth")).args(&scene.words);
     command.arg("--threads").arg(wish.threads.to_string()).arg("--seed").arg(row.seed.to_string());
-    for assignment in row.set {
-        command.arg("--set").arg(assignment);
+    for set in row.set {
+        command.arg("--set").arg(assignment(set, scene));
     }
     finish(&mut command, &work.join(format!("{}.{}.log", scene.name, row.name)))?;
     let figures = Figures::of_run(&folder)?;
-    write(&kept, &figures.to_text(&identity))?;
+    write(&kept, &figures.to_text(commit, &identity))?;
     if row.name != "base" {
         remove(&folder)?;
     }
-    Ok(figures)
+    Ok((commit.to_owned(), figures))
 }
 
 /// Runs a command to its end, with what it says in a file.

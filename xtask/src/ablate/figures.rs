@@ -74,13 +74,18 @@ impl Figures {
     }
 
     /// For the next time, with what decided it.
-    pub(super) fn to_text(self, identity: &str) -> String {
-        let members = vec![("identity".into(), Json::Text(identity.into())), ("figures".into(), self.to_json())];
+    pub(super) fn to_text(self, commit: &str, identity: &str) -> String {
+        let text = |text: &str| Json::Text(text.into());
+        let members = vec![
+            ("commit".into(), text(commit)),
+            ("identity".into(), text(identity)),
+            ("figures".into(), self.to_json()),
+        ];
         format!("{}\n", Json::Object(members))
     }
 
-    /// What [`Self::to_text`] wrote, if the same decided it.
-    pub(super) fn remembered(text: &str, identity: &str) -> Option<Self> {
+    /// Commit and figures that [`Self::to_text`] wrote, if the same decided them.
+    pub(super) fn remembered(text: &str, identity: &str) -> Option<(String, Self)> {
         let kept = Json::parse(text).ok()?;
         if kept.get("identity")?.text()? != identity {
             return None;
@@ -90,7 +95,7 @@ impl Figures {
         for (value, name) in values.iter_mut().zip(MEMBERS) {
             *value = figures.get(name).and_then(number)?;
         }
-        Some(Self::of_values(values))
+        Some((kept.get("commit")?.text()?.to_owned(), Self::of_values(values)))
     }
 }
 

@@ -38,23 +38,28 @@ fn counts(figures: &Figures, base: &Base) -> bool {
 }
 
 /// `docs/ablations.md`.
-pub(super) fn page(scenes: &[&str], done: &[Done], iterations: u32, commit: &str) -> String {
+pub(super) fn page(scenes: &[&str], done: &[Done], iterations: u32) -> String {
     let mut text = format!(
-        "# What each part is worth\n\nMade by `cargo x ablate`; not written by hand. Preset `fast`, {iterations} steps, commit {commit}. \
-         Differences are to\nthe mean of the base over {} seeds; **bold** rows differ in F1 by more than those seeds do among \
-         themselves. Accuracy: mean distance\nfrom mesh to truth; completeness: from truth to mesh; edges: accuracy within 0.5 m of the truth's edges. CPU: the whole run, what \
-         the base had done included.\n",
+        "# What each part is worth\n\nMade by `cargo x ablate`; not written by hand. Preset `fast`, {iterations} steps, true masks. \
+         Differences are to the mean of\nthe base over {} seeds; **bold** rows differ in F1 by more than those seeds do among \
+         themselves. Accuracy: mean distance from\nmesh to truth; completeness: from truth to mesh; edges: accuracy within 0.5 m of \
+         the truth's edges. CPU: the whole run, what the\nbase had done included.\n",
         SEEDS.len()
     );
     for scene in scenes {
         let of: Vec<&Done> = done.iter().filter(|done| done.scene == *scene).collect();
         let base = base(done, scene);
-        text += &format!("\n## {scene}\n\n");
+        let mut commits: Vec<&str> = of.iter().map(|done| done.commit.as_str()).collect();
+        commits.sort_unstable();
+        commits.dedup();
+        text += &format!("\n## {scene}\n\nCommits: {}. ", commits.join(", "));
         if let Some(base) = &base {
             text += &format!(
                 "Seeds of the base differ by {:.4} in F1 at 0.1 m and {:.4} at 0.2 m.\n\n",
                 base.spread[0], base.spread[1]
             );
+        } else {
+            text += "\n\n";
         }
         text += "| row | settings | F1 0.1 m | F1 0.2 m | accuracy, cm | completeness, cm | edges, cm | Gaussians | CPU-s |\n";
         text += "|---|---|---|---|---|---|---|---|---|\n";
@@ -90,12 +95,12 @@ fn line(done: &Done, base: Option<&Base>) -> String {
 }
 
 /// `benchmarks/ablations.json`: one line per scene and row.
-pub(super) fn list(done: &[Done], iterations: u32, commit: &str) -> String {
+pub(super) fn list(done: &[Done], iterations: u32) -> String {
     let text = |text: &str| Json::Text(text.into());
     let record = |one: &Done| {
         let is_counted = one.figures.as_ref().zip(base(done, one.scene)).map(|(figures, base)| counts(figures, &base));
         Json::Object(vec![
-            ("commit".into(), text(commit)),
+            ("commit".into(), text(&one.commit)),
             ("iterations".into(), Json::Number(iterations.to_string())),
             ("scene".into(), text(one.scene)),
             ("row".into(), text(one.row.name)),

@@ -5,7 +5,7 @@ use super::*;
 fn done(name: &'static str, set: &'static [&'static str], seed: u32, f1: f64) -> Done {
     let row = Row { name, what: name, set, seed };
     let figures = Figures { f1: [f1 - 0.1, f1], accuracy_m: 0.04, gaussians: 1000.0, ..Figures::default() };
-    Done { scene: "town", row, figures: Some(figures) }
+    Done { scene: "town", row, commit: "abc".into(), figures: Some(figures) }
 }
 
 #[test]
@@ -15,15 +15,16 @@ fn a_row_counts_where_it_leaves_the_spread_of_the_seeds() {
     let large = done("large", &["b=2"], 0, 0.930);
     let failed = Done { figures: None, ..done("failed", &["c=3"], 0, 0.0) };
     let all: Vec<Done> = base.into_iter().chain([small, large, failed]).collect();
-    let page = table::page(&["town"], &all, 800, "abc");
+    let page = table::page(&["town"], &all, 800);
     assert!(page.contains("differ by 0.0100 in F1 at 0.1 m and 0.0100 at 0.2 m"), "{page}");
     assert!(page.contains("| small | `a=1` | 0.860 (+0.005) |") && page.contains("| **large** |"), "{page}");
+    assert!(page.contains("Commits: abc. Seeds"), "{page}");
     assert!(page.contains("| failed | `c=3` | failed |"), "{page}");
-    let list = Json::parse(&table::list(&all, 800, "abc")).expect("JSON");
+    let list = Json::parse(&table::list(&all, 800)).expect("JSON");
     assert_eq!(list.list().len(), 6);
     assert_eq!(list.list()[4].get("counts"), Some(&Json::Bool(true)));
     assert_eq!(list.list()[3].get("counts"), Some(&Json::Bool(false)));
-    let without_seeds = table::page(&["town"], &all[..1], 800, "abc");
+    let without_seeds = table::page(&["town"], &all[..1], 800);
     assert!(without_seeds.contains("| base | seed 0 | 0.850 | 0.950 |"), "{without_seeds}");
 }
 
@@ -37,9 +38,9 @@ fn figures_are_remembered_by_what_decided_them() {
         gaussians: 12.0,
         cpu_secs: 90.5,
     };
-    let text = figures.to_text("abc 800 0 []");
-    assert_eq!(Figures::remembered(&text, "abc 800 0 []"), Some(figures));
-    assert_eq!(Figures::remembered(&text, "def 800 0 []"), None);
+    let text = figures.to_text("abc", "800 0 []");
+    assert_eq!(Figures::remembered(&text, "800 0 []"), Some(("abc".into(), figures)));
+    assert_eq!(Figures::remembered(&text, "900 0 []"), None);
     assert_eq!(Figures::remembered("{", "abc"), None);
 }
 
@@ -59,6 +60,13 @@ fn words_are_understood_and_rows_are_known() {
             .flat_map(|row| row.set)
             .all(|set| set.split_once('=').is_some_and(|(key, _)| key.contains('.') || key == "image_width"))
     );
+}
+
+#[test]
+fn widths_are_shares_of_the_scene() {
+    let scene = Scene { name: "town", folder: PathBuf::new(), width: 320, words: Vec::new() };
+    assert_eq!(assignment("image_width=1/4", &scene), "image_width=80");
+    assert_eq!(assignment("surface.voxel_gsd=1.5", &scene), "surface.voxel_gsd=1.5");
 }
 
 #[test]

@@ -149,3 +149,46 @@ fn trim_asks_only_of_views_that_could_see() {
     let trimmed = plan_trim(&[2, 1, 1, 0, 0], &[9, 9, 1, 1, 0], &options);
     assert_eq!(trimmed.keep, vec![0, 2]);
 }
+
+#[test]
+fn copies_of_one_gaussian_look_as_it_did() {
+    for (opacity, copies) in [(0.3, 2), (0.9, 3), (0.99, 10), (0.6, 1), (0.999, 51)] {
+        let (each, factor) = relocate::shared(opacity, copies);
+        assert!((1.0 - (1.0 - each).powi(copies as i32) - opacity).abs() < 1e-12, "{opacity} {copies}: {each}");
+        // Sum over a line, of deviation 1: the copies' 1 - (1 - o' g)^N against the one's o g.
+        let step = 1e-3;
+        let (mut one, mut many) = (0.0, 0.0);
+        for k in -12_000..=12_000 {
+            let x = f64::from(k) * step;
+            one += opacity * (-0.5 * x * x).exp() * step;
+            many += (1.0 - (1.0 - each * (-0.5 * (x / factor).powi(2)).exp()).powi(copies as i32)) * step;
+        }
+        assert!((one - many).abs() < 1e-6 * one, "{opacity} {copies}: {one} and {many}");
+    }
+}
+
+#[test]
+fn the_faint_are_born_again_where_opacity_is() {
+    let (mut cloud, statistics, footprints) = three([0.0; 3], [2.0; 3]);
+    cloud.opacity_logits = vec![-8.0, 2.0, -3.0];
+    let input = DensityInput {
+        cloud: &cloud,
+        statistics: &statistics,
+        footprints: &footprints,
+        cull: true,
+        seed: 7,
+        iteration: 3,
+    };
+    let options = DensityOptions { gradient: 1.0, relocate: true, ..DensityOptions::default() };
+    let plan = plan_density(&input, &options);
+    assert_eq!(plan.keep.len() + plan.births.len(), 3, "nothing is lost: {plan:?}");
+    assert!(!plan.keep.contains(&0) && plan.births.len() == 2);
+    let parent = plan.births[0].parent;
+    assert!(parent != 0 && !plan.keep.contains(&parent) && plan.births.iter().all(|birth| birth.parent == parent));
+    let spare = DensityInput { cull: false, ..input };
+    assert_eq!(plan_density(&spare, &options).keep, [0, 1, 2], "after a reset nobody dies");
+    let drawn = |seed| plan_density(&DensityInput { seed, ..input }, &options).births[0].parent;
+    let by_opacity = (0..400).filter(|seed| drawn(*seed) == 1).count();
+    // 0.881 against 0.047.
+    assert!((360..400).contains(&by_opacity), "{by_opacity} of 400");
+}
