@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use glam::DVec3;
 use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces};
+use pgsag_mesh::holes::close_holes;
 use pgsag_mesh::identity::{RoofRules, given_pieces, roof_pieces};
 use pgsag_mesh::merge::split_by_building;
 use pgsag_mesh::render::visibility;
@@ -34,6 +35,8 @@ pub struct BuildingOptions {
     pub min_piece_m2: f64,
     /// Connected pieces of fewer faces are dropped as crumbs.
     pub min_piece_faces: usize,
+    /// Holes of the surface with a rim of at most this length are closed, metres; 0: none. A window's is 4 to 6 m.
+    pub max_hole_rim_m: f64,
     /// Buildings part in plan view where a gap is wider than about two of these.
     pub plan_cell_m: f64,
     /// Roofs that touch are of two buildings where their heights differ by more than this, metres, and by more than one
@@ -45,7 +48,14 @@ pub struct BuildingOptions {
 
 impl Default for BuildingOptions {
     fn default() -> Self {
-        Self { min_piece_m2: 2.0, min_piece_faces: 50, plan_cell_m: 0.5, height_step_m: 0.2, min_building_m2: 10.0 }
+        Self {
+            min_piece_m2: 2.0,
+            min_piece_faces: 50,
+            max_hole_rim_m: 6.0,
+            plan_cell_m: 0.5,
+            height_step_m: 0.2,
+            min_building_m2: 10.0,
+        }
     }
 }
 
@@ -142,6 +152,11 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let (mut city, dropped) = drop_small(&city, &crumbs);
     if !dropped.is_empty() {
         job.say(&format!("{} crumbs of surface were dropped", dropped.len()));
+    }
+    let closed = close_holes(&mut city, lengths.units(options.max_hole_rim_m));
+    if closed.holes > 0 {
+        let area = lengths.square_metres(closed.area);
+        job.say(&format!("{} holes were closed with {area:.1} m² of surface", closed.holes));
     }
     if city.faces.is_empty() {
         return Err(UserError::new(
