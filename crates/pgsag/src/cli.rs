@@ -323,7 +323,7 @@ pub struct JobArgs {
     #[arg(long, value_name = "SIZE")]
     pub memory_limit: Option<String>,
     /// What computes; default: as the run was started with.
-    #[arg(long, value_name = "cpu|gpu[:N]")]
+    #[arg(long, value_name = "cpu|gpu[:N][,gpu:M]")]
     pub device: Option<String>,
     /// Save and stop when standard input is closed: how a parent takes its jobs along.
     #[arg(long, hide = true)]
@@ -404,7 +404,7 @@ pub struct SettingArgs {
     #[arg(long, value_name = "PX|original")]
     pub image_width: Option<String>,
     /// What computes; auto takes a GPU where there is one.
-    #[arg(long, value_name = "auto|cpu|gpu[:N]")]
+    #[arg(long, value_name = "auto|cpu|gpu[:N][,gpu:M]")]
     pub device: Option<String>,
     /// Jobs of a stage at once.
     #[arg(long, value_name = "N")]

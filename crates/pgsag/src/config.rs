@@ -84,7 +84,7 @@ pub struct Config {
     pub instances: String,
     /// Longest side of the images in training, pixels; 0: original.
     pub image_width: u32,
-    /// `auto` (a GPU where there is one), `cpu`, `gpu` or `gpu:N`.
+    /// `auto` (a GPU where there is one), `cpu`, `gpu`, `gpu:N` or several: `gpu:N,gpu:M`.
     pub device: String,
     /// `auto` or a SIMD level that `pgsag doctor` lists.
     pub simd: String,

@@ -38,7 +38,7 @@ pub struct Card {
 /// An unknown device or level, or the work's own.
 pub fn run<W: Work>(device: &str, simd: &str, work: W) -> Result<W::Output> {
     match typed(device)? {
-        Typed::Gpu(which) => card::run(&which, work),
+        Typed::Gpu(which) => card::run(which.first().map_or("", String::as_str), work),
         Typed::Auto if !real_cards().is_empty() => card::run("", work),
         Typed::Auto | Typed::Cpu => work.on(&cpu(simd, Limits::default())?),
     }
@@ -79,15 +79,27 @@ pub fn devices(device: &str) -> Result<Vec<String>> {
         }
         Typed::Gpu(which) => {
             let cards = card::all().unwrap_or_default();
-            let by_index = which.parse().ok().and_then(|index: usize| cards.get(index));
-            let card = by_index.or_else(|| cards.iter().find(|card| card.word.eq_ignore_ascii_case(device)));
-            match card {
-                Some(card) if card.lacks.is_empty() => vec![card.word.clone()],
-                Some(card) => return Err(none(device, &format!("{} lacks {}", card.text, card.lacks))),
-                None => return Err(none(device, "there is no such graphics card")),
+            let mut words = Vec::new();
+            for which in &which {
+                let card = asked_for(&cards, which, device)?;
+                if !words.contains(&card.word) {
+                    words.push(card.word.clone());
+                }
             }
+            words
         }
     })
+}
+
+/// The card of this index or PCI bus id, if it can be used.
+fn asked_for<'a>(cards: &'a [Card], which: &str, device: &str) -> Result<&'a Card> {
+    let by_index = which.parse().ok().and_then(|index: usize| cards.get(index));
+    let is_meant = |card: &&Card| card.word.strip_prefix("gpu:").is_some_and(|word| word.eq_ignore_ascii_case(which));
+    match by_index.or_else(|| cards.iter().find(is_meant)) {
+        Some(card) if card.lacks.is_empty() => Ok(card),
+        Some(card) => Err(none(device, &format!("{} lacks {}", card.text, card.lacks))),
+        None => Err(none(device, &format!("there is no graphics card {which}"))),
+    }
 }
 
 /// Why a card cannot be had, as an error of the one who asked for it.
@@ -134,22 +146,22 @@ const GPU: &str = "gpu";
 enum Typed {
     Auto,
     Cpu,
-    /// Index or PCI bus id; empty: any.
-    Gpu(String),
+    /// By index or PCI bus id; empty: any.
+    Gpu(Vec<String>),
 }
 
 fn typed(device: &str) -> Result<Typed> {
     Ok(match device {
         "auto" => Typed::Auto,
         "cpu" => Typed::Cpu,
-        "gpu" => Typed::Gpu(String::new()),
-        other => match other.strip_prefix("gpu:").filter(|which| !which.is_empty()) {
-            Some(which) => Typed::Gpu(which.to_owned()),
-            None => {
-                let place = format!("--device {device}");
-                return Err(UserError::new(place, "there is no such device", "use auto, cpu, gpu or gpu:N").into());
-            }
-        },
+        "gpu" => Typed::Gpu(Vec::new()),
+        cards => {
+            let one = |word: &str| word.strip_prefix("gpu:").filter(|which| !which.is_empty()).map(str::to_owned);
+            let all: Option<Vec<String>> = cards.split(',').map(|word| one(word.trim())).collect();
+            let place = format!("--device {device}");
+            let cure = "use auto, cpu, gpu, gpu:N or gpu:N,gpu:M";
+            Typed::Gpu(all.ok_or_else(|| UserError::new(place, "there is no such device", cure))?)
+        }
     })
 }
 
@@ -256,12 +268,28 @@ mod tests {
     use super::*;
 
     #[test]
+    fn cards_are_found_by_number_and_by_bus() {
+        let card = |word: &str, lacks: &str| Card {
+            word: word.into(),
+            text: word.into(),
+            is_software: false,
+            lacks: lacks.into(),
+        };
+        let cards = [card("gpu:0000:65:00.0", ""), card("gpu:0000:B3:00.0", ""), card("gpu:2", "atomics")];
+        let word = |which: &str| asked_for(&cards, which, "gpu").map(|card| card.word.clone());
+        assert_eq!(word("1").expect("there"), "gpu:0000:B3:00.0");
+        assert_eq!(word("0000:b3:00.0").expect("there"), "gpu:0000:B3:00.0");
+        assert!(word("2").is_err() && word("3").is_err() && word("0000:00:00.0").is_err());
+    }
+
+    #[test]
     fn a_device_is_understood_or_refused_in_one_line() {
-        assert!(matches!(typed("gpu:1"), Ok(Typed::Gpu(which)) if which == "1"));
-        assert!(matches!(typed("gpu:0000:65:00.0"), Ok(Typed::Gpu(which)) if which == "0000:65:00.0"));
-        for wrong in ["gpu:", "cuda", "GPU", ""] {
+        assert!(matches!(typed("gpu:1"), Ok(Typed::Gpu(which)) if which == ["1"]));
+        assert!(matches!(typed("gpu:0000:65:00.0"), Ok(Typed::Gpu(which)) if which == ["0000:65:00.0"]));
+        assert!(matches!(typed("gpu:0, gpu:2"), Ok(Typed::Gpu(which)) if which == ["0", "2"]));
+        for wrong in ["gpu:", "cuda", "GPU", "", "gpu:0,cpu", "gpu:0,"] {
             let refused = typed(wrong).err().map(|error| error.to_string());
-            assert!(refused.is_some_and(|line| line.contains("use auto, cpu, gpu or gpu:N")), "{wrong}");
+            assert!(refused.is_some_and(|line| line.contains("use auto, cpu, gpu, gpu:N")), "{wrong}");
         }
     }
 

@@ -147,17 +147,8 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         city = keep_faces(&city, |face| area.contains(center(face)));
     }
     let options = &config.buildings;
-    let crumbs =
-        ComponentOptions { min_area: lengths.square_units(options.min_piece_m2), min_faces: options.min_piece_faces };
-    let (mut city, dropped) = drop_small(&city, &crumbs);
-    if !dropped.is_empty() {
-        job.say(&format!("{} crumbs of surface were dropped", dropped.len()));
-    }
-    let closed = close_holes(&mut city, lengths.units(options.max_hole_rim_m));
-    if closed.holes > 0 {
-        let area = lengths.square_metres(closed.area);
-        job.say(&format!("{} holes were closed with {area:.1} m² of surface", closed.holes));
-    }
+    let crumb = lengths.square_units(options.min_piece_m2);
+    let mut city = tidy(job, &city, options, &lengths);
     if city.faces.is_empty() {
         return Err(UserError::new(
             &config.scene,
@@ -183,7 +174,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         step: if is_parted { lengths.units(options.height_step_m).max(1.5 * voxel) } else { f64::INFINITY },
         min_area: lengths.square_units(options.min_building_m2),
     };
-    tell_apart(&mut city, up, &rules, crumbs.min_area)?;
+    tell_apart(&mut city, up, &rules, crumb)?;
     let buildings = keep_faces(&city, |face| city.buildings[face] != 0);
     let parts = split_by_building(&buildings);
     let mut list: Vec<Building> = parts.iter().map(|(n, mesh)| described(*n, mesh, up, &lengths)).collect();
@@ -193,6 +184,22 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         job.warn("no building surface was found inside the masks");
     }
     job.write(&Merged { city, buildings, list })
+}
+
+/// Without crumbs and small holes.
+fn tidy(job: &Job<'_>, city: &Mesh, options: &BuildingOptions, lengths: &Lengths) -> Mesh {
+    let crumbs =
+        ComponentOptions { min_area: lengths.square_units(options.min_piece_m2), min_faces: options.min_piece_faces };
+    let (mut city, dropped) = drop_small(city, &crumbs);
+    if !dropped.is_empty() {
+        job.say(&format!("{} crumbs of surface were dropped", dropped.len()));
+    }
+    let closed = close_holes(&mut city, lengths.units(options.max_hole_rim_m));
+    if closed.holes > 0 {
+        let area = lengths.square_metres(closed.area);
+        job.say(&format!("{} holes were closed with {area:.1} m² of surface", closed.holes));
+    }
+    city
 }
 
 /// Share of building surface that must lie below the cameras for its highest parts to be roofs.
