@@ -21,7 +21,7 @@ use rows::{Row, SEEDS, rows};
 /// Steps of training where `--iterations` says nothing: those of the demo.
 const ITERATIONS: u32 = 800;
 const USAGE: &str = "cargo x ablate [--scenes town,delft] [--rows a,b,…] [--iterations N] [--threads N] \
-                     [--binary PGSAG --commit ID] [--fresh] [--tiny]";
+                     [--binary PGSAG --commit ID] [--fresh | --kept] [--tiny]";
 /// The quarter of delft that its rows are run on: north, east of the model's frame, metres.
 const DELFT_AREA: &str = r#"{"type":"Polygon","coordinates":[[[5,-45],[50,-45],[50,-5],[5,-5],[5,-45]]]}"#;
 
@@ -38,6 +38,8 @@ struct Wish {
     commit: Option<String>,
     /// Rows finished before are run again.
     fresh: bool,
+    /// Nothing is run: the page is written of the rows finished before.
+    kept: bool,
     tiny: bool,
 }
 
@@ -64,6 +66,7 @@ pub(crate) fn run(root: &Path, words: &[String]) -> Result<()> {
     let wish = wish(words)?;
     let binary = match &wish.binary {
         Some(path) => path.clone(),
+        None if wish.kept => PathBuf::new(),
         None => built(root)?,
     };
     let commit = match &wish.commit {
@@ -80,6 +83,9 @@ pub(crate) fn run(root: &Path, words: &[String]) -> Result<()> {
     let mut done = Vec::new();
     for scene in &scenes {
         for row in &chosen {
+            if wish.kept && remembered(&work, scene, row, &wish).is_none() {
+                continue;
+            }
             let (commit, figures) = match one(&binary, &work, scene, row, &wish, &commit) {
                 Ok((commit, figures)) => (commit, Some(figures)),
                 Err(message) => {
@@ -116,6 +122,7 @@ fn wish(words: &[String]) -> Result<Wish> {
             "--binary" => wish.binary = Some(PathBuf::from(value()?)),
             "--commit" => wish.commit = Some(value()?.clone()),
             "--fresh" => wish.fresh = true,
+            "--kept" => wish.kept = true,
             "--tiny" => wish.tiny = true,
             _ => return Err(format!("{word} is unknown\n{USAGE}")),
         }
@@ -188,12 +195,23 @@ fn assignment(set: &str, scene: &Scene) -> String {
     }
 }
 
+/// What decides a row's figures, beside the program.
+fn identity(row: &Row, wish: &Wish) -> String {
+    format!("{} {} {:?}", wish.iterations, row.seed, row.set)
+}
+
+fn kept_in(work: &Path, scene: &Scene, row: &Row) -> PathBuf {
+    work.join(format!("{}.{}.json", scene.name, row.name))
+}
+
+/// Commit and figures of a row that was finished before.
+fn remembered(work: &Path, scene: &Scene, row: &Row, wish: &Wish) -> Option<(String, Figures)> {
+    Figures::remembered(&std::fs::read_to_string(kept_in(work, scene, row)).ok()?, &identity(row, wish))
+}
+
 /// Runs a row, or remembers it with the commit that it was run with.
 fn one(binary: &Path, work: &Path, scene: &Scene, row: &Row, wish: &Wish, commit: &str) -> Result<(String, Figures)> {
-    let identity = format!("{} {} {:?}", wish.iterations, row.seed, row.set);
-    let kept = work.join(format!("{}.{}.json", scene.name, row.name));
-    let text = std::fs::read_to_string(&kept).ok();
-    if let Some((commit, figures)) = text.and_then(|text| Figures::remembered(&text, &identity)) {
+    if let Some((commit, figures)) = remembered(work, scene, row, wish) {
         println!("{} {}: finished before, at {commit}", scene.name, row.name);
         return Ok((commit, figures));
     }
@@ -214,7 +232,7 @@ fn one(binary: &Path, work: &Path, scene: &Scene, row: &Row, wish: &Wish, commit
     }
     finish(&mut command, &work.join(format!("{}.{}.log", scene.name, row.name)))?;
     let figures = Figures::of_run(&folder)?;
-    write(&kept, &figures.to_text(commit, &identity))?;
+    write(&kept_in(work, scene, row), &figures.to_text(commit, &identity(row, wish)))?;
     if row.name != "base" {
         remove(&folder)?;
     }

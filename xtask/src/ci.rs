@@ -20,6 +20,10 @@ pub(crate) fn run(root: &Path) -> Result<()> {
         shell(root, "cargo", &words)
     });
     steps.run("tests", || shell(root, "cargo", &["test", "--workspace", "--locked", "--no-fail-fast"]));
+    steps.run("tests gpu", || {
+        let words = ["test", "-p", "pgsag", "--features", "gpu", "--test", "it", "--locked", "cards"];
+        shell(root, "cargo", &words)
+    });
     steps.run("doc", || {
         let words = ["doc", "--workspace", "--no-deps", "--locked"];
         shell_with(root, "cargo", &words, &[("RUSTDOCFLAGS", "-D warnings")])

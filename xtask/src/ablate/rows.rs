@@ -31,6 +31,7 @@ const VARIANTS: &[(&str, &str, &[&str])] = &[
     ("normal-inside-only", "normal loss not on the band at all", &["train.weights.normal_boundary=0"]),
     ("no-image-gradient", "normal loss not weighed by the image gradient", &["train.weights.normal_image_gradient=false"]),
     ("no-geometric", "no multi-view geometric loss", &["train.weights.geometric=0"]),
+    ("geometric", "multi-view geometric loss as in the published code", &["train.weights.geometric=0.03"]),
     ("no-gate-anneal", "geometric gate 1 px from the start", &["train.geometric_gate_start_px=1"]),
     ("no-ncc", "no multi-view NCC loss", &["train.weights.ncc=0"]),
     ("ncc-0.15", "NCC weight of the published code", &["train.weights.ncc=0.15"]),

@@ -92,7 +92,7 @@ impl Default for TrainOptions {
             iterations: 15_000,
             plateau_share: 0.0,
             plateau_steps: 200,
-            weights: LossWeights { ncc_patches: 25_600, ..LossWeights::default() },
+            weights: LossWeights { geometric: 0.0, ncc_patches: 25_600, ..LossWeights::default() },
             geometric_start: 7.0 / 30.0,
             geometric_ramp: 1.0 / 30.0,
             geometric_gate_start_px: 4.0,
@@ -116,7 +116,8 @@ impl TrainOptions {
             iterations: 3000,
             geometric_start: 0.1,
             geometric_ramp: 0.05,
-            weights: LossWeights { ncc_patches: 2048, ..LossWeights::default() },
+            // Without the geometric term surfaces come out closer (docs/claims.md).
+            weights: LossWeights { geometric: 0.0, ncc_patches: 2048, ..LossWeights::default() },
             rates: RateOptions { position_gsd: 0.64, ..RateOptions::default() },
             density: DensityOptions { until: 0.4, ..DensityOptions::default() },
             ..Self::default()
