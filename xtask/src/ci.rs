@@ -21,7 +21,7 @@ pub(crate) fn run(root: &Path) -> Result<()> {
     });
     steps.run("tests", || shell(root, "cargo", &["test", "--workspace", "--locked", "--no-fail-fast"]));
     steps.run("tests gpu", || {
-        let words = ["test", "-p", "pgsag", "--features", "gpu", "--test", "it", "--locked", "cards"];
+        let words = ["test", "-p", "pgsag", "--features", "gpu", "--test", "cards", "--locked"];
         shell(root, "cargo", &words)
     });
     steps.run("doc", || {

@@ -57,6 +57,19 @@ impl Sets {
     }
 }
 
+/// The three edges of every face, the smaller vertex first, with the face; the same edges beside one another.
+pub(crate) fn sides(mesh: &Mesh) -> Vec<([u32; 2], u32)> {
+    let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * mesh.faces.len());
+    for (face, corners) in (0u32..).zip(&mesh.faces) {
+        for (a, b) in [(0, 1), (1, 2), (2, 0)] {
+            let (a, b) = (corners[a], corners[b]);
+            sides.push(([a.min(b), a.max(b)], face));
+        }
+    }
+    sides.sort_unstable();
+    sides
+}
+
 /// `[F]` Number of the connected part (faces that share vertices) of every face, from 0 in the order of first faces.
 #[must_use]
 pub fn label_components(mesh: &Mesh) -> Vec<u32> {

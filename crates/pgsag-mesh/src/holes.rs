@@ -6,6 +6,8 @@ use std::collections::{HashMap, HashSet};
 use glam::DVec3;
 use pgsag_scene::Mesh;
 
+use crate::components::sides;
+
 /// Rims of more corners stay open: the cost grows with their cube.
 const MAX_CORNERS: usize = 256;
 /// Steps around one vertex before it counts as tangled.
@@ -43,15 +45,7 @@ pub fn close_holes(mesh: &mut Mesh, max_rim: f64) -> Closed {
 
 /// Edges of one face alone, as that face turns, with the face; by face.
 fn open_edges(mesh: &Mesh) -> Vec<([u32; 2], u32)> {
-    let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * mesh.faces.len());
-    for (face, corners) in (0u32..).zip(&mesh.faces) {
-        for (a, b) in [(0, 1), (1, 2), (2, 0)] {
-            let (a, b) = (corners[a], corners[b]);
-            sides.push(([a.min(b), a.max(b)], face));
-        }
-    }
-    sides.sort_unstable();
-    let mut open: Vec<([u32; 2], u32)> = sides
+    let mut open: Vec<([u32; 2], u32)> = sides(mesh)
         .chunk_by(|a, b| a.0 == b.0)
         .filter(|same| same.len() == 1)
         .map(|same| {
@@ -255,7 +249,7 @@ mod tests {
         for y in 0..side {
             for x in 0..side {
                 let at = y * (side + 1) + x;
-                let away = (f64::from(x) + 0.5 - middle).hypot(f64::from(y) + 0.5 - middle);
+                let away = libm::hypot(f64::from(x) + 0.5 - middle, f64::from(y) + 0.5 - middle);
                 if away > pane {
                     let (right, up) = (at + 1, at + side + 1);
                     mesh.faces.extend([[at, right, up], [right, up + 1, up]]);

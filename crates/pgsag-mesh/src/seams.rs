@@ -8,6 +8,8 @@ use std::collections::HashMap;
 use glam::DVec3;
 use pgsag_scene::Mesh;
 
+use crate::components::sides;
+
 /// Along the border of buildings and background. Lengths in scene units.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seams {
@@ -58,21 +60,13 @@ pub fn seams(city: &Mesh, voxel: f64) -> Seams {
 }
 
 fn edges(city: &Mesh) -> Vec<Edge> {
-    let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * city.faces.len());
-    for (face, corners) in (0u32..).zip(&city.faces) {
-        for (a, b) in [(0, 1), (1, 2), (2, 0)] {
-            let (a, b) = (corners[a], corners[b]);
-            sides.push(([a.min(b), a.max(b)], face));
-        }
-    }
-    sides.sort_unstable();
     let is_building = |face: u32| city.buildings.get(face as usize).is_some_and(|building| *building != 0);
     let edge = |same: &[([u32; 2], u32)]| {
         let [a, b] = same[0].0.map(|vertex| DVec3::from(city.vertices[vertex as usize]));
         let is_building = [Some(is_building(same[0].1)), same.get(1).map(|side| is_building(side.1))];
         Edge { middle: 0.5 * (a + b), length: a.distance(b), is_building }
     };
-    sides.chunk_by(|a, b| a.0 == b.0).map(edge).collect()
+    sides(city).chunk_by(|a, b| a.0 == b.0).map(edge).collect()
 }
 
 fn background_vertices(city: &Mesh) -> Vec<DVec3> {

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use pgsag_scene::Mesh;
 
-use crate::components::Sets;
+use crate::components::{Sets, sides};
 
 /// Patches are joined in rounds, the smallest first; what is left after so many stays.
 const MAX_ROUNDS: usize = 64;
@@ -42,14 +42,7 @@ pub fn settle(mesh: &Mesh, labels: &[u32], min_area: f64) -> Vec<u32> {
 }
 
 fn joints(mesh: &Mesh) -> Vec<Joint> {
-    let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * mesh.faces.len());
-    for (face, corners) in (0u32..).zip(&mesh.faces) {
-        for (a, b) in [(0, 1), (1, 2), (2, 0)] {
-            let (a, b) = (corners[a], corners[b]);
-            sides.push(([a.min(b), a.max(b)], face));
-        }
-    }
-    sides.sort_unstable();
+    let sides = sides(mesh);
     let place = |vertex: u32| DVec3::from(mesh.vertices[vertex as usize]);
     let joint = |pair: &[([u32; 2], u32)]| {
         let [([a, b], first), (same, second)] = [pair[0], pair[1]];

@@ -47,7 +47,6 @@ const VARIANTS: &[(&str, &str, &[&str])] = &[
     ("density-abs", "born by absolute gradients only (AbsGS)", &["train.density.gradient=1e30"]),
     ("density-unbounded", "born as often as they ask (PGSR with AbsGS)", &["train.density.max_growth=1"]),
     ("growth-3x", "births of 15 % a time at most, not 5 %", &["train.density.max_growth=0.15"]),
-    ("relocate", "faint ones born again by opacity (3DGS-MCMC)", &["train.density.relocate=true"]),
     ("no-trim", "no multi-view trim", &["train.density.trim_interval=0"]),
     ("mean-over-image", "losses averaged over the window, not the mask", &["train.weights.mean_over_mask=false"]),
     ("neighbours-4", "four neighbours per view", &["neighbors.count=4"]),

@@ -40,8 +40,6 @@ pub struct DensityOptions {
     pub prune_size: f32,
     /// Gaussians fainter than this die. 3DGS: 0.005, PG-SAG: 0.05.
     pub opacity_cull: f32,
-    /// What dies as faint is born again on Gaussians drawn by opacity (3DGS-MCMC's relocation).
-    pub relocate: bool,
     /// A decision adds at most this share of the Gaussians, those with the largest gradients: while colours are still
     /// unlearnt nearly all of them ask. 3DGS-MCMC: 0.05.
     pub max_growth: f32,
@@ -73,7 +71,6 @@ impl Default for DensityOptions {
             min_size_px: 0.7,
             prune_size: 100.0,
             opacity_cull: 0.02,
-            relocate: false,
             max_growth: 0.05,
             max_gaussians: 6_000_000,
             trim_interval: 1000,
@@ -139,12 +136,6 @@ pub fn plan_density(input: &DensityInput<'_>, options: &DensityOptions) -> Densi
         wishes.sort_unstable_by_key(|wish| wish.0);
     }
     let mut births = Vec::with_capacity(2 * wishes.len());
-    if options.relocate {
-        let mut busy = vec![false; count];
-        wishes.iter().for_each(|wish| busy[wish.0] = true);
-        let faint = (0..count).filter(|&i| is_faint(input, i, options)).count();
-        births.extend(relocate::relocations(input, faint, &mut dead, &busy));
-    }
     for &(i, growth, _) in &wishes {
         let mut random = stream(input.seed, input.iteration, i as u64);
         let (children, shift) = match growth {
@@ -185,14 +176,10 @@ fn opacity(logit: f32) -> f32 {
     1.0 / (1.0 + libm::expf(-logit))
 }
 
-fn is_faint(input: &DensityInput<'_>, i: usize, options: &DensityOptions) -> bool {
-    input.cull && opacity(input.cloud.opacity_logits[i]) < options.opacity_cull
-}
-
 fn is_dead(input: &DensityInput<'_>, i: usize, options: &DensityOptions) -> bool {
+    let faint = input.cull && opacity(input.cloud.opacity_logits[i]) < options.opacity_cull;
     let footprint = &input.footprints[i];
-    is_faint(input, i, options)
-        || (footprint.focal_px > 0.0 && footprint.reference_px(max_scale(input.cloud, i)) > options.prune_size)
+    faint || (footprint.focal_px > 0.0 && footprint.reference_px(max_scale(input.cloud, i)) > options.prune_size)
 }
 
 /// (index, growth, gradient over threshold) of every Gaussian that wants to multiply, ascending by index.
@@ -239,6 +226,5 @@ fn sample_offset(cloud: &SplatCloud, i: usize, random: &mut pgsag_scene::numbers
     (rotation * glam::DVec3::from_array(local)).to_array().map(|v| v as f32)
 }
 
-mod relocate;
 #[cfg(test)]
 mod tests;

@@ -11,8 +11,6 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 mod bad_input;
-#[cfg(all(feature = "gpu", target_os = "linux"))]
-mod cards;
 mod killed;
 mod masked;
 mod segmented;
