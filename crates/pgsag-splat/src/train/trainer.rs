@@ -366,9 +366,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
             free_pixels: weights.free_opacity > 0.0,
         };
         let mut render = self.backend.render(&self.cloud, &self.cameras[view], Some(&reference.view), &options)?;
-        // Only planes of the neighbour are compared; NCC looks at them without moving them.
-        let gradient = weights.geometric != 0.0;
-        let beside = RenderOptions { planes: true, without_color: true, gradient, ..RenderOptions::default() };
+        // Only planes of the neighbour are compared.
+        let beside = RenderOptions { planes: true, without_color: true, gradient: true, ..RenderOptions::default() };
         let mut neighbor_render = match &other {
             Some((index, prepared)) => {
                 Some(self.backend.render(&self.cloud, &self.cameras[*index], Some(&prepared.view), &beside)?)
