@@ -189,7 +189,9 @@ impl Config {
                 let initialise = InitialiseOptions { sh_degree: 3, ..standard.initialise };
                 // The paper trains every group for all steps, and on nothing but its buildings.
                 let groups = GroupingOptions { equal_looks: false, collar_px: 0.0, ..standard.groups };
-                Self { train: TrainOptions::paper(), initialise, groups, ..standard }
+                // Nor does it add surface where there was none.
+                let buildings = BuildingOptions { max_hole_rim_m: 0.0, ..standard.buildings };
+                Self { train: TrainOptions::paper(), initialise, groups, buildings, ..standard }
             }
         }
     }
