@@ -17,11 +17,13 @@ pub struct BlockOptions {
     pub expansion: f64,
     /// Share of an image that the block's airspace covers for the image to belong to it. VastGaussian: 0.25.
     pub min_airspace: f64,
+    /// Share of a building's steps that a block takes; less where nobody looks at what lies between buildings.
+    pub steps_share: f32,
 }
 
 impl Default for BlockOptions {
     fn default() -> Self {
-        Self { cameras_per_block: 100, expansion: 0.2, min_airspace: 0.25 }
+        Self { cameras_per_block: 100, expansion: 0.2, min_airspace: 0.25, steps_share: 1.0 }
     }
 }
 

@@ -295,6 +295,10 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         let is_learnt_from = |view: &usize| used[*view] && !config.is_held_out(*view);
         share_steps(&mut groups, (0..used.len()).filter(is_learnt_from).count());
     }
+    if groups.iter().any(|group| group.id.kind == GroupKind::Building) {
+        let blocks = groups.iter_mut().filter(|group| group.id.kind == GroupKind::Background);
+        blocks.for_each(|block| block.steps_share *= config.blocks.steps_share);
+    }
     for group in &groups {
         job.say(&described(group));
     }
