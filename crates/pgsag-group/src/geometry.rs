@@ -82,6 +82,8 @@ const EDGE_DROP: f64 = 0.6;
 const EDGE_CELLS: i64 = 3;
 /// … along this share of what is seen of the edge: terrain that rises slowly is no building.
 const MIN_EDGE_SHARE: f64 = 0.35;
+/// Walls stand this upright: sine of their slope's rest.
+const WALL: f64 = 0.5;
 /// Points lower than this above the ground are ground, metres.
 const FOOT_M: f64 = 0.4;
 /// Bumps of the ground, metres.
@@ -269,7 +271,11 @@ impl Roofs {
     ) -> Vec<Label> {
         use rayon::prelude::*;
         let grid = &ground.grid;
-        let label = |at: &DVec3| {
+        let up = frame.world(DVec2::ZERO, 1.0) - frame.world(DVec2::ZERO, 0.0);
+        let label = |(index, at): (usize, &DVec3)| {
+            let normal = points.normals.get(index).map(|normal| DVec3::from_array(normal.map(f64::from)));
+            let is_wall = normal.is_some_and(|normal| normal.dot(up).abs() < WALL);
+            let foot = if is_wall { 0.0 } else { foot };
             let Some(cell) = grid.index(frame.plan(*at)) else { return Label::Background };
             let height = frame.height(*at);
             let beside = |other: usize| is_building[other] && height <= self.top[other];
@@ -277,7 +283,7 @@ impl Roofs {
             let is_in = is_building[cell] || (is_facade() && grid.around(cell).any(beside));
             if is_in && height - ground.height[cell] > foot { Label::Building } else { Label::Background }
         };
-        points.positions.par_iter().map(label).collect()
+        points.positions.par_iter().enumerate().map(label).collect()
     }
 }
 

@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use glam::{DVec2, DVec3};
+use pgsag_scene::numbers::quantile;
 
 use crate::plan::{PlanFrame, PlanGrid};
 
@@ -31,6 +32,10 @@ pub struct Ground {
 
 /// Share of a cell's points below which its lowest lie: single low points are false matches.
 const LOW_SHARE: f64 = 0.1;
+/// Ground so many bumps below nearly all of it is a false match (the sky in a canal) …
+const CHASM_BUMPS: f64 = 25.0;
+/// … and so is what lies this far below, connected with it.
+const RIM_BUMPS: f64 = 2.0;
 /// Rounds of smoothing where ground is not seen.
 const SMOOTHING: u32 = 30;
 
@@ -58,6 +63,8 @@ impl Ground {
         }
         let mut height = low;
         spread(&grid, &mut height, &is_ground);
+        without_chasms(&grid, &height, &mut is_ground, rules.bump);
+        spread(&grid, &mut height, &is_ground);
         smooth(&grid, &mut height, &is_ground);
         Some(Self { grid, height })
     }
@@ -68,6 +75,23 @@ impl Ground {
         let high = self.grid.low + DVec2::new(self.grid.columns as f64, self.grid.rows as f64) * self.grid.cell;
         let inside = plan.clamp(self.grid.low, high - DVec2::splat(0.5 * self.grid.cell));
         self.grid.index(inside).map_or(0.0, |cell| self.height[cell])
+    }
+}
+
+/// Takes chasms and their rims from the ground.
+fn without_chasms(grid: &PlanGrid, height: &[f64], is_ground: &mut [bool], bump: f64) {
+    let mut known: Vec<f64> = (0..grid.len()).filter(|cell| is_ground[*cell]).map(|cell| height[cell]).collect();
+    let (Some(low), Some(middle)) = (quantile(&mut known, 0.1), quantile(&mut known, 0.5)) else { return };
+    let bottom = low - 2.0 * (middle - low) - CHASM_BUMPS * bump;
+    let mut open: Vec<usize> = (0..grid.len()).filter(|cell| is_ground[*cell] && height[*cell] < bottom).collect();
+    open.iter().for_each(|cell| is_ground[*cell] = false);
+    while let Some(cell) = open.pop() {
+        for other in grid.around(cell) {
+            if is_ground[other] && height[other] < low - RIM_BUMPS * bump {
+                is_ground[other] = false;
+                open.push(other);
+            }
+        }
     }
 }
 
@@ -193,6 +217,24 @@ mod tests {
                 let height = ground.at(frame.plan(DVec3::new(x, y, 0.0)));
                 assert!((height - slope * x).abs() < 1.0, "slope {slope} at {x} {y}: {height}");
             }
+        }
+    }
+
+    #[test]
+    fn the_sky_in_a_canal_is_no_ground_and_a_sunken_yard_is() {
+        let mut points = scene(0.0);
+        let within = |at: &DVec3, x: f64, y: f64, side: f64| (at.x - x).abs() < side && (at.y - y).abs() < side;
+        // A funnel of false matches, and a yard of 3 m depth.
+        for at in &mut points {
+            let off = (at.x - 50.0).abs().max((at.y - 10.0).abs());
+            at.z -= (36.0 - 6.0 * off).max(0.0);
+            at.z -= if within(at, 10.0, 50.0, 5.0) { 3.0 } else { 0.0 };
+        }
+        let rules = GroundRules { cell: 1.0, largest_building: 40.0, slope: 0.15, bump: 0.4 };
+        let ground = Ground::find(&points, &PlanFrame::new(DVec3::Z), &rules).expect("points");
+        for (x, y, wanted) in [(50.0, 10.0, 0.0), (47.0, 10.0, 0.0), (53.0, 12.0, 0.0), (10.0, 50.0, -3.0)] {
+            let height = ground.at(DVec2::new(x, y));
+            assert!((height - wanted).abs() < 1.0, "{x} {y}: {height}");
         }
     }
 

@@ -98,6 +98,8 @@ pub fn drawn_labels(drawing: &Drawing<'_>, image: &Image, options: &RefineOption
     let Drawing { seen, labels, is_witnessed, agreement, fringe_px } = *drawing;
     let mut drawn = raw_labels(seen, labels, image.width, image.height);
     let focal_px = seen.camera.focal_px() * f64::from(image.width) / f64::from(seen.camera.width);
+    // Stray points are no edges.
+    change_specks(&mut drawn, options.superpixel_px.pow(2) as usize, |_| Label::Unknown);
     trim(&mut drawn, &seen.depth.resized_nearest(image.width, image.height), fringe_px, focal_px);
     let witness = |point: &u32| *point != NO_POINT && is_witnessed(*point);
     let witnessed = seen.point.mapped(witness).resized_nearest(image.width, image.height);
@@ -143,15 +145,30 @@ fn silence(drawn: &mut Map<Label>, witnessed: &Map<bool>, side: u32) {
     let columns = drawn.width.div_ceil(side);
     let width = drawn.width;
     let square = |at: usize| ((at as u32 / width / side) * columns + at as u32 % width / side) as usize;
-    let mut counts = vec![[[0f32; 2]; 3]; (columns * drawn.height.div_ceil(side)) as usize];
+    let rows = drawn.height.div_ceil(side);
+    let mut counts = vec![[[0f32; 2]; 3]; (columns * rows) as usize];
     for (at, (label, is_witnessed)) in drawn.values.iter().zip(&witnessed.values).enumerate() {
         let count = &mut counts[square(at)][*label as usize];
         count[0] += 1.0;
         count[1] += f32::from(u8::from(*is_witnessed));
     }
+    // Where the view has measured nothing far and wide, at the rim of the flight, its silence says nothing.
+    let speaks: Vec<bool> = counts
+        .iter()
+        .map(|of| of.iter().map(|c| c[1]).sum::<f32>() >= MIN_WITNESSED * of.iter().map(|c| c[0]).sum::<f32>())
+        .collect();
+    let (columns, rows) = (columns as usize, rows as usize);
+    let is_asked = |cell: usize| {
+        let (x, y) = (cell % columns, cell / columns);
+        let mut around = (y.saturating_sub(1)..(y + 2).min(rows))
+            .flat_map(|v| (x.saturating_sub(1)..(x + 2).min(columns)).map(move |u| v * columns + u));
+        around.any(|other| speaks[other])
+    };
+    let is_asked: Vec<bool> = (0..counts.len()).map(is_asked).collect();
     for (at, label) in drawn.values.iter_mut().enumerate() {
-        let [known, witnessed] = counts[square(at)][*label as usize];
-        if witnessed < MIN_WITNESSED * known {
+        let cell = square(at);
+        let [known, witnessed] = counts[cell][*label as usize];
+        if is_asked[cell] && witnessed < MIN_WITNESSED * known {
             *label = Label::Unknown;
         }
     }
@@ -221,23 +238,25 @@ pub fn mask_of_labels(drawn: &Map<Label>, min_area_px: usize, reach_px: u32) -> 
         }
     }
     let is_building = filled.values.iter().map(|label| *label == Label::Building).collect();
-    without_specks(Map { width: drawn.width, height: drawn.height, values: is_building }, min_area_px)
+    let mut mask = Map { width: drawn.width, height: drawn.height, values: is_building };
+    change_specks(&mut mask, min_area_px, |is_building: bool| !is_building);
+    mask
 }
 
-/// Turns connected patches of one value with fewer than `min_area_px` pixels into the other.
-fn without_specks(mut mask: Map<bool>, min_area_px: usize) -> Map<bool> {
-    let mut is_done = vec![false; mask.values.len()];
-    for start in 0..mask.values.len() {
+/// Gives connected patches of one value with fewer than `min_area_px` pixels another.
+fn change_specks<T: Copy + PartialEq>(map: &mut Map<T>, min_area_px: usize, other_than: impl Fn(T) -> T) {
+    let mut is_done = vec![false; map.values.len()];
+    for start in 0..map.values.len() {
         if is_done[start] {
             continue;
         }
-        let value = mask.values[start];
+        let value = map.values[start];
         let mut patch = vec![start];
         is_done[start] = true;
         let mut next = 0;
         while next < patch.len() {
-            for other in beside(&mask, patch[next]) {
-                if mask.values[other] == value && !is_done[other] {
+            for other in beside(map, patch[next]) {
+                if map.values[other] == value && !is_done[other] {
                     is_done[other] = true;
                     patch.push(other);
                 }
@@ -245,10 +264,9 @@ fn without_specks(mut mask: Map<bool>, min_area_px: usize) -> Map<bool> {
             next += 1;
         }
         if patch.len() < min_area_px {
-            patch.into_iter().for_each(|at| mask.values[at] = !value);
+            patch.into_iter().for_each(|at| map.values[at] = other_than(value));
         }
     }
-    mask
 }
 
 /// The pixels left, right, above and below.
@@ -347,6 +365,46 @@ mod tests {
         let mut alone = before.clone();
         fill_segments(&mut alone, &Map::filled(40, 10, 0), 0.8);
         assert_eq!(alone, before);
+    }
+
+    /// Labels by place on a plain image of 192 x 96 pixels, one point to a pixel; witnessed left of `rim`.
+    fn drawn_of(rim: u32, label: impl Fn(u32, u32) -> Label) -> Map<Label> {
+        let (width, height) = (192, 96);
+        let camera = pgsag_scene::Pinhole { width, height, fx: 100.0, fy: 100.0, cx: 96.0, cy: 48.0 };
+        let point = Map { width, height, values: (0..width * height).collect() };
+        let labels: Vec<Label> = point.values.iter().map(|at| label(at % width, at / width)).collect();
+        // Ground lies five behind roofs.
+        let depth = labels.iter().map(|label| if *label == Label::Building { 10.0 } else { 15.0 }).collect();
+        let seen = Seen { camera, point, depth: Map { width, height, values: depth } };
+        let is_witnessed = |at: u32| at % width < rim;
+        let drawing =
+            Drawing { seen: &seen, labels: &labels, is_witnessed: &is_witnessed, agreement: 0.6, fringe_px: 4.0 };
+        drawn_labels(&drawing, &Image::filled(width, height, [90; 3]), &RefineOptions::default())
+    }
+
+    #[test]
+    fn stray_points_on_a_roof_cut_no_hole_into_it_and_edges_are_cut() {
+        let is_roof = |x: u32, y: u32| (40..160).contains(&x) && (10..90).contains(&y);
+        let is_stray = |x: u32, y: u32| x % 24 < 3 && y % 20 < 3;
+        let drawn = drawn_of(192, |x, y| match is_roof(x, y) && !is_stray(x, y) {
+            true => Label::Building,
+            false => Label::Background,
+        });
+        let holes =
+            (50..150).flat_map(|x| (20..80).map(move |y| (x, y))).filter(|(x, y)| drawn.at(*x, *y) != Label::Building);
+        assert_eq!(holes.count(), 0);
+        let fringe = (20..80).filter(|y| drawn.at(40, *y) == Label::Building).count();
+        assert!(fringe < 30, "{fringe}");
+    }
+
+    #[test]
+    fn a_view_is_asked_only_where_it_has_measured_something() {
+        // A roof over the whole height at either end; the view has measured the left three quarters of the left one.
+        let label = |x: u32, _| if !(64..128).contains(&x) { Label::Building } else { Label::Background };
+        let drawn = drawn_of(48, label);
+        assert_eq!(drawn.at(10, 50), Label::Building);
+        assert_eq!(drawn.at(70, 50), Label::Unknown, "nobody knows what hides it");
+        assert_eq!(drawn.at(180, 50), Label::Building, "the rim of the flight");
     }
 
     #[test]

@@ -70,6 +70,12 @@ fn a_house_is_found_and_trees_with_and_without_leaves_are_not() {
         let found = place.found();
         assert_eq!(found.buildings, 1, "one house");
         let (mut wrong, mut walls) = (0, [0, 0]);
+        let feet = place.positions.iter().zip(&place.normals).zip(&found.labels);
+        let mut feet = feet.filter(|((at, normal), _)| normal[0] < -0.9 && (0.2..0.4).contains(&at.z) && at.x < 30.0);
+        assert!(
+            feet.clone().count() > 30 && feet.all(|(_, label)| *label == Label::Building),
+            "walls reach the ground"
+        );
         for (at, label) in place.positions.iter().zip(&found.labels) {
             let is_house = (20.0..30.0).contains(&at.x) && (20.0..32.0).contains(&at.y);
             if is_house && at.z < 4.5 {
