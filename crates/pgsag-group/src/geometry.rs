@@ -82,7 +82,7 @@ const EDGE_DROP: f64 = 0.6;
 const EDGE_CELLS: i64 = 3;
 /// … along this share of what is seen of the edge: terrain that rises slowly is no building.
 const MIN_EDGE_SHARE: f64 = 0.35;
-/// Walls stand this upright: sine of their slope's rest.
+/// Normals of walls rise less than this, as a share of their length.
 const WALL: f64 = 0.5;
 /// Points lower than this above the ground are ground, metres.
 const FOOT_M: f64 = 0.4;
