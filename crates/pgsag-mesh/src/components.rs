@@ -70,11 +70,12 @@ pub(crate) fn sides(mesh: &Mesh) -> Vec<([u32; 2], u32)> {
     sides
 }
 
-/// `[F]` Number of the connected part (faces that share vertices) of every face, from 0 in the order of first faces.
+/// `[F]` Number of the connected part (measured faces that share vertices) of every face, from 0 in the order of first faces;
+/// a face that closes a gap holds nothing together, and is of the part of its first corner.
 #[must_use]
 pub fn label_components(mesh: &Mesh) -> Vec<u32> {
     let mut sets = Sets::new(mesh.vertices.len());
-    for face in &mesh.faces {
+    for (_, face) in mesh.faces.iter().enumerate().filter(|(at, _)| mesh.is_measured(*at)) {
         sets.join(face[0], face[1]);
         sets.join(face[0], face[2]);
     }
@@ -93,16 +94,25 @@ pub fn label_components(mesh: &Mesh) -> Vec<u32> {
         .collect()
 }
 
-/// The mesh without its small parts, and what was dropped, largest first.
+/// The mesh without its small parts, and what was dropped, largest first. Where gaps are to be closed the faces of small
+/// parts stay, no longer as measured ones: what closes a gap goes on beyond a crumb that lies in it.
 #[must_use]
 pub fn drop_small(mesh: &Mesh, options: &ComponentOptions) -> (Mesh, Vec<Dropped>) {
     let labels = label_components(mesh);
     let parts = measure(mesh, &labels);
-    let small: Vec<bool> =
-        parts.iter().map(|part| part.area < options.min_area || part.faces < options.min_faces).collect();
+    // Parts of no measured face are what gaps are closed with.
+    let is_small = |part: &Dropped| part.area < options.min_area || part.faces < options.min_faces;
+    let small: Vec<bool> = parts.iter().map(|part| part.faces > 0 && is_small(part)).collect();
     let mut dropped: Vec<Dropped> =
         parts.iter().zip(&small).filter(|(_, small)| **small).map(|(part, _)| *part).collect();
     dropped.sort_by(|a, b| b.area.total_cmp(&a.area));
+    if !mesh.closed.is_empty() {
+        let mut mesh = mesh.clone();
+        for (closed, label) in mesh.closed.iter_mut().zip(&labels) {
+            *closed |= u32::from(small[*label as usize]);
+        }
+        return (mesh, dropped);
+    }
     (keep_faces(mesh, |face| !small[labels[face] as usize]), dropped)
 }
 
@@ -118,11 +128,11 @@ pub fn largest(mesh: &Mesh, count: usize) -> Mesh {
     keep_faces(mesh, |face| keep[labels[face] as usize])
 }
 
-/// Size of every labelled part.
+/// Size of every labelled part, measured faces alone.
 fn measure(mesh: &Mesh, labels: &[u32]) -> Vec<Dropped> {
     let count = labels.iter().max().map_or(0, |last| *last as usize + 1);
     let mut parts = vec![Dropped { faces: 0, area: 0.0, center: [0.0; 3] }; count];
-    for (face, label) in labels.iter().enumerate() {
+    for (face, label) in labels.iter().enumerate().filter(|(face, _)| mesh.is_measured(*face)) {
         let [a, b, c] = mesh.triangle(face).map(DVec3::from);
         let part = &mut parts[*label as usize];
         part.faces += 1;
@@ -158,6 +168,7 @@ pub(crate) fn pick_faces(mesh: &Mesh, faces: impl IntoIterator<Item = u32>, rena
         }));
         kept.buildings.extend(mesh.buildings.get(at as usize));
         kept.groups.extend(mesh.groups.get(at as usize));
+        kept.closed.extend(mesh.closed.get(at as usize));
     }
     for v in used {
         renamed[v as usize] = u32::MAX;

@@ -221,7 +221,11 @@ impl Table {
 
 /// Adds the lid, of the building and the group that most of the rim is of.
 fn attach(mesh: &mut Mesh, lid: &[[u32; 3]], rim: &Rim) {
+    if mesh.closed.is_empty() {
+        mesh.closed = vec![0; mesh.faces.len()];
+    }
     mesh.faces.extend_from_slice(lid);
+    mesh.closed.extend(std::iter::repeat_n(1, lid.len()));
     for labels in [&mut mesh.buildings, &mut mesh.groups].into_iter().filter(|labels| !labels.is_empty()) {
         let mut around: Vec<u32> = rim.iter().map(|(_, face)| labels[*face as usize]).collect();
         around.sort_unstable();

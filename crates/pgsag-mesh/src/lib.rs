@@ -1,7 +1,7 @@
 //! Depth maps to surface to score: the paper's sections 4.4 and 5.
 //!
 //! `fuse` checks depth maps against one another, `tsdf` averages them into a sparse volume, `marching` takes the
-//! surface out of it, `merge`, `components`, `holes` and `settle` make one tidy mesh of the
+//! surface out of it, `merge`, `components`, `gaps`, `holes` and `settle` make one tidy mesh of the
 //! cubes, `score` judges it, `render` draws it.
 //! Everything is in scene units; nothing here knows metres, paths or a run.
 
@@ -9,6 +9,7 @@ pub mod components;
 pub mod error;
 pub mod evidence;
 pub mod fuse;
+pub mod gaps;
 pub mod holes;
 pub mod identity;
 pub mod marching;

@@ -1,5 +1,6 @@
 //! The zero surface of a volume as an indexed mesh: marching cubes whose vertices are shared between cells and blocks
-//! and, bit for bit, between cubes of one lattice. Cells with an unknown corner are skipped.
+//! and, bit for bit, between cubes of one lattice. Cells with an unknown corner are skipped, or, where gaps are to be
+//! closed, what is unknown counts as inside.
 
 use std::collections::HashMap;
 
@@ -27,6 +28,8 @@ struct Piece {
     vertices: Vec<[f64; 3]>,
     colors: Vec<[u8; 3]>,
     faces: Vec<[u32; 3]>,
+    /// As [`Mesh::closed`], one per face.
+    closed: Vec<u32>,
     /// Vertices on the block's hull with the edge they lie on; in the order of their making.
     shared: Vec<(u32, EdgeKey)>,
 }
@@ -34,26 +37,49 @@ struct Piece {
 /// Values of a block's nodes and of the layer beyond.
 struct Window {
     distance: Vec<f32>,
-    known: Vec<bool>,
+    state: Vec<State>,
     color: Vec<[u16; 4]>,
 }
+
+/// What is known of a node.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum State {
+    /// Nothing, and it may not be guessed.
+    Absent,
+    /// No photograph saw it; it counts as inside.
+    Unknown,
+    Measured,
+}
+
+/// Distance, over the front truncation, of nodes that nobody saw.
+const UNKNOWN_DISTANCE: f32 = -1.0;
 
 /// Takes the surface of the cells of the volume's region. Faces are counter-clockwise seen from outside; vertices and
 /// faces come in an order that depends on the volume's content alone. Colours are there where the volume keeps them.
 #[must_use]
 pub fn extract(volume: &Volume) -> Mesh {
+    surface(volume, false)
+}
+
+/// As [`extract`], with the border between free and unknown space as surface too; its faces are `closed`.
+#[must_use]
+pub fn extract_closed(volume: &Volume) -> Mesh {
+    surface(volume, true)
+}
+
+fn surface(volume: &Volume, closes: bool) -> Mesh {
     let table = CaseTable::new();
     let mut order: Vec<[i32; 3]> = volume.keys.clone();
     order.sort_unstable();
-    let pieces: Vec<Piece> = order.par_iter().map(|key| piece_of_block(volume, &table, *key)).collect();
-    join(pieces)
+    let pieces: Vec<Piece> = order.par_iter().map(|key| piece_of_block(volume, &table, *key, closes)).collect();
+    join(pieces, closes)
 }
 
-fn window(volume: &Volume, key: [i32; 3]) -> Option<Window> {
+fn window(volume: &Volume, key: [i32; 3], closes: bool) -> Option<Window> {
     let colored = volume.options.color;
     let mut window = Window {
         distance: vec![1.0; SIDE * SIDE * SIDE],
-        known: vec![false; SIDE * SIDE * SIDE],
+        state: vec![State::Absent; SIDE * SIDE * SIDE],
         color: if colored { vec![[0; 4]; SIDE * SIDE * SIDE] } else { Vec::new() },
     };
     let (mut any_in, mut any_out) = (false, false);
@@ -68,11 +94,14 @@ fn window(volume: &Volume, key: [i32; 3]) -> Option<Window> {
                 for x in xs.0..xs.1 {
                     let side = BLOCK_SIDE as usize;
                     let node = ((z % side) * side + y % side) * side + x % side;
+                    let to = (z * SIDE + y) * SIDE + x;
                     if block.weight[node] <= volume.options.min_weight {
+                        if closes {
+                            (window.state[to], window.distance[to], any_in) = (State::Unknown, UNKNOWN_DISTANCE, true);
+                        }
                         continue;
                     }
-                    let to = (z * SIDE + y) * SIDE + x;
-                    window.known[to] = true;
+                    window.state[to] = State::Measured;
                     window.distance[to] = block.distance[node];
                     any_in |= block.distance[node] < 0.0;
                     any_out |= block.distance[node] >= 0.0;
@@ -87,9 +116,9 @@ fn window(volume: &Volume, key: [i32; 3]) -> Option<Window> {
     (any_in && any_out).then_some(window)
 }
 
-fn piece_of_block(volume: &Volume, table: &CaseTable, key: [i32; 3]) -> Piece {
+fn piece_of_block(volume: &Volume, table: &CaseTable, key: [i32; 3], closes: bool) -> Piece {
     let mut piece = Piece::default();
-    let Some(window) = window(volume, key) else { return piece };
+    let Some(window) = window(volume, key, closes) else { return piece };
     let base = key.map(|k| k * BLOCK_SIDE);
     let mut made = vec![[NO_VERTEX; 3]; SIDE * SIDE * SIDE];
     let offsets: [usize; CORNERS] = std::array::from_fn(|c| ((c >> 2 & 1) * SIDE + (c >> 1 & 1)) * SIDE + (c & 1));
@@ -98,7 +127,7 @@ fn piece_of_block(volume: &Volume, table: &CaseTable, key: [i32; 3]) -> Piece {
             for x in 0..BLOCK_SIDE {
                 let cell = [x, y, z];
                 let first = (z as usize * SIDE + y as usize) * SIDE + x as usize;
-                let Some(case) = case_of_cell(&window, first, &offsets) else { continue };
+                let Some((case, is_measured)) = case_of_cell(&window, first, &offsets) else { continue };
                 if !volume.region.contains(std::array::from_fn(|a| base[a] + cell[a])) {
                     continue;
                 }
@@ -113,6 +142,7 @@ fn piece_of_block(volume: &Volume, table: &CaseTable, key: [i32; 3]) -> Piece {
                         made[node][axis]
                     });
                     piece.faces.push(face);
+                    piece.closed.push(u32::from(!is_measured));
                 }
             }
         }
@@ -120,16 +150,19 @@ fn piece_of_block(volume: &Volume, table: &CaseTable, key: [i32; 3]) -> Piece {
     piece
 }
 
-/// The case of the cell whose first node is `first`; `None` where a corner is unknown or all are on one side.
-fn case_of_cell(window: &Window, first: usize, offsets: &[usize; CORNERS]) -> Option<usize> {
-    let mut case = 0;
+/// The case of the cell whose first node is `first` and whether all its corners were measured; `None` where a corner is
+/// absent or all are on one side.
+fn case_of_cell(window: &Window, first: usize, offsets: &[usize; CORNERS]) -> Option<(usize, bool)> {
+    let (mut case, mut is_measured) = (0, true);
     for (corner, offset) in offsets.iter().enumerate() {
-        if !window.known[first + offset] {
-            return None;
+        match window.state[first + offset] {
+            State::Absent => return None,
+            State::Unknown => is_measured = false,
+            State::Measured => {}
         }
         case |= usize::from(window.distance[first + offset] < 0.0) << corner;
     }
-    (case != 0 && case != 255).then_some(case)
+    (case != 0 && case != 255).then_some((case, is_measured))
 }
 
 impl Piece {
@@ -169,7 +202,7 @@ fn mix(near: [u16; 4], far: [u16; 4], share: f32) -> [u8; 3] {
     })
 }
 
-fn join(pieces: Vec<Piece>) -> Mesh {
+fn join(pieces: Vec<Piece>, closes: bool) -> Mesh {
     let count = |part: fn(&Piece) -> usize| pieces.iter().map(part).sum::<usize>();
     let mut mesh = Mesh {
         vertices: Vec::with_capacity(count(|piece| piece.vertices.len())),
@@ -192,6 +225,9 @@ fn join(pieces: Vec<Piece>) -> Mesh {
             renamed.push(index);
         }
         mesh.faces.extend(piece.faces.iter().map(|face| face.map(|v| renamed[v as usize])));
+        if closes {
+            mesh.closed.extend_from_slice(&piece.closed);
+        }
     }
     mesh
 }

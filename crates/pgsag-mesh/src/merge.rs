@@ -19,6 +19,7 @@ pub fn merge(parts: &[Mesh]) -> Mesh {
     let colored = any(|part| !part.colors.is_empty());
     let housed = any(|part| !part.buildings.is_empty());
     let grouped = any(|part| !part.groups.is_empty());
+    let closed = any(|part| !part.closed.is_empty());
     let mut mesh = Mesh::default();
     let mut known: HashMap<[u64; 3], u32> = HashMap::new();
     for part in parts {
@@ -45,6 +46,9 @@ pub fn merge(parts: &[Mesh]) -> Mesh {
             }
             if grouped {
                 mesh.groups.push(part.groups.get(at).copied().unwrap_or_default());
+            }
+            if closed {
+                mesh.closed.push(part.closed.get(at).copied().unwrap_or_default());
             }
         }
     }

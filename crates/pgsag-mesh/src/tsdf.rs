@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::MeshError;
 use crate::fuse::DepthView;
 
+mod grow;
 mod integrate;
 mod lattice;
 mod planes;
@@ -90,6 +91,8 @@ fn block_bytes(color: bool) -> u64 {
 pub struct Volume {
     pub(crate) lattice: Lattice,
     pub(crate) region: CellBox,
+    /// Blocks that are kept beyond the region, so that what grows into gaps is the same in all cubes.
+    pub(crate) margin_blocks: i32,
     pub(crate) options: TsdfOptions,
     pub(crate) index: HashMap<[i32; 3], u32>,
     pub(crate) keys: Vec<[i32; 3]>,
@@ -103,7 +106,8 @@ impl Volume {
     /// Options out of range.
     pub fn new(lattice: Lattice, region: CellBox, options: TsdfOptions) -> Result<Self, MeshError> {
         check_options(&lattice, &options)?;
-        Ok(Self { lattice, region, options, index: HashMap::new(), keys: Vec::new(), blocks: Vec::new() })
+        let (index, keys, blocks) = Default::default();
+        Ok(Self { lattice, region, margin_blocks: 0, options, index, keys, blocks })
     }
 
     /// Adds one view: makes the blocks near its surface and averages its distances into all blocks it sees.
@@ -113,9 +117,9 @@ impl Volume {
     pub fn integrate(&mut self, view: &DepthView<'_>) -> Result<(), MeshError> {
         view.check()?;
         let planes = planes::pixel_planes(view, &self.lattice, &self.options);
-        let touched = touch::touched_blocks(view, &planes, &self.lattice, &self.region);
+        let touched = touch::touched_blocks(view, &planes, &self.lattice, &self.region, self.margin_blocks);
         self.allocate(&touched)?;
-        self.average(view, &planes, &touched);
+        self.average(view, &planes, &touched, 0);
         Ok(())
     }
 
@@ -127,7 +131,7 @@ impl Volume {
     pub fn reserve(&mut self, view: &DepthView<'_>) -> Result<(), MeshError> {
         view.check()?;
         let planes = planes::pixel_planes(view, &self.lattice, &self.options);
-        self.allocate(&touch::touched_blocks(view, &planes, &self.lattice, &self.region))
+        self.allocate(&touch::touched_blocks(view, &planes, &self.lattice, &self.region, self.margin_blocks))
     }
 
     /// Bytes in use.
@@ -182,7 +186,7 @@ impl Estimate {
     pub fn add(&mut self, view: &DepthView<'_>) -> Result<(), MeshError> {
         view.check()?;
         let planes = planes::pixel_planes(view, &self.lattice, &self.options);
-        self.keys.extend(touch::touched_blocks(view, &planes, &self.lattice, &self.region));
+        self.keys.extend(touch::touched_blocks(view, &planes, &self.lattice, &self.region, 0));
         Ok(())
     }
 

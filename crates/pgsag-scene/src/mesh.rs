@@ -13,6 +13,8 @@ pub struct Mesh {
     pub buildings: Vec<u32>,
     /// `[F]` group number, 0 = background; or empty.
     pub groups: Vec<u32>,
+    /// `[F]` 1 where no photograph measured the face and it only closes a gap, else 0; or empty where none does.
+    pub closed: Vec<u32>,
 }
 
 impl Mesh {
@@ -20,5 +22,11 @@ impl Mesh {
     #[must_use]
     pub fn triangle(&self, f: usize) -> [[f64; 3]; 3] {
         self.faces[f].map(|v| self.vertices[v as usize])
+    }
+
+    /// Whether face `f` was measured, not put in to close a gap.
+    #[must_use]
+    pub fn is_measured(&self, f: usize) -> bool {
+        self.closed.get(f).is_none_or(|closed| *closed == 0)
     }
 }

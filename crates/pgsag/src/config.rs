@@ -191,7 +191,8 @@ impl Config {
                 let groups = GroupingOptions { equal_looks: false, collar_px: 0.0, ..standard.groups };
                 // Nor does it add surface where there was none.
                 let buildings = BuildingOptions { max_hole_rim_m: 0.0, ..standard.buildings };
-                Self { train: TrainOptions::paper(), initialise, groups, buildings, ..standard }
+                let surface = SurfaceOptions { max_gap_m: 0.0, ..standard.surface };
+                Self { train: TrainOptions::paper(), initialise, groups, surface, buildings, ..standard }
             }
         }
     }

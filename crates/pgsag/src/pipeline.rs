@@ -55,7 +55,7 @@ pub static PIPELINE: &[Stage] = &[
     ..row::<fuse::Fused>("fuse", &["import", "refine", "group", "depth"], Per::Image, &["refine.overlap_px", "groups.collar_px", IMAGES], fuse::jobs, fuse::run) },
     row::<mesh::Surface>("mesh", &["import", "masks", "group", "fuse"], Per::Tile, &["surface", IMAGES], mesh::jobs, mesh::run),
     Stage { sources: crate::stages::aoi::sources, code: 4,
-    ..row::<merge::Merged>("merge", &["import", "group", "mesh"], Per::Whole, &["buildings", "surface.voxel_gsd", "surface.voxel_m"], merge::jobs, merge::run) },
+    ..row::<merge::Merged>("merge", &["import", "group", "mesh"], Per::Whole, &["buildings", "surface.max_gap_m", "surface.voxel_gsd", "surface.voxel_m"], merge::jobs, merge::run) },
     Stage { sources: score::sources, code: 5,
     ..row::<score::Scored>("score", &["import", "coarse", "group", "merge"], Per::Whole, &["score", "evidence", "memory_limit", "neighbors", "holdout", "images", "seed", IMAGES], score::jobs, score::run) },
     Stage { publishes: Some("result"),

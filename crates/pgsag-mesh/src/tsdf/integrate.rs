@@ -20,8 +20,8 @@ struct Projector<'a> {
 }
 
 impl Volume {
-    /// Averages a view into the blocks it sees, or into `touched` alone where there is no carving.
-    pub(super) fn average(&mut self, view: &DepthView<'_>, planes: &[PixelPlane], touched: &[[i32; 3]]) {
+    /// Averages a view into the blocks it sees from the `first` on, or into `touched` alone where there is no carving.
+    pub(super) fn average(&mut self, view: &DepthView<'_>, planes: &[PixelPlane], touched: &[[i32; 3]], first: usize) {
         let rotation = view.camera_from_world.rotation_matrix();
         let camera = view.camera;
         let projector = Projector {
@@ -42,6 +42,7 @@ impl Volume {
             .par_iter_mut()
             .zip(&self.keys)
             .zip(&wanted)
+            .skip(first)
             .filter(|(_, wanted)| **wanted)
             .for_each(|((block, key), _)| projector.average_block(block, *key));
     }

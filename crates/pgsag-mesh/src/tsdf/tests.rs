@@ -164,3 +164,79 @@ fn wrong_sizes_are_refused() {
     assert!(matches!(volume.integrate(&view), Err(MeshError::Size { what: "the weight map", .. })));
     assert!(Volume::new(Lattice { voxel: 0.0, ..lattice() }, region(), TsdfOptions::default()).is_err());
 }
+
+/// Four views of flat ground in which a square of half-width `hole` has no depth.
+fn ground_with_hole(hole: f64) -> Vec<DepthView<'static>> {
+    [(3.0, 0.0), (-3.0, 0.0), (0.0, 3.0), (0.0, -3.0)]
+        .map(|(x, y)| {
+            let mut view = view_of(DVec3::new(x, y, 5.0), 240, None, |_, _| 0.0);
+            let back = view.camera_from_world.inverse();
+            for y in 0..240 {
+                for x in 0..240 {
+                    let ray = view.camera.ray(f64::from(x) + 0.5, f64::from(y) + 0.5);
+                    let at = back.transform_point(ray * f64::from(view.depth.at(x, y)));
+                    if at.x.abs() < hole && at.y.abs() < hole {
+                        view.depth.set(x, y, 0.0);
+                    }
+                }
+            }
+            view
+        })
+        .into()
+}
+
+fn closed_surface(region: CellBox, views: &[DepthView<'_>], rounds: u32) -> pgsag_scene::Mesh {
+    let options = TsdfOptions { color: false, ..TsdfOptions::default() };
+    let mut volume = Volume::new(lattice(), region, options).unwrap();
+    volume.follow_gaps(rounds);
+    views.iter().for_each(|view| volume.reserve(view).unwrap());
+    views.iter().for_each(|view| volume.integrate(view).unwrap());
+    for _ in 0..rounds {
+        let Some(first) = volume.grow().unwrap() else { break };
+        views.iter().for_each(|view| volume.integrate_into(first, view).unwrap());
+    }
+    crate::marching::extract_closed(&volume)
+}
+
+#[test]
+fn a_gap_that_nobody_measured_is_closed_at_the_end_of_free_space() {
+    let views = ground_with_hole(0.7);
+    let region = CellBox { low: [-16; 3], high: [16; 3] };
+    let area = |mesh: &pgsag_scene::Mesh| -> f64 {
+        let normal = |face| {
+            let [a, b, c] = mesh.triangle(face).map(DVec3::from);
+            0.5 * (b - a).cross(c - a)
+        };
+        (0..mesh.faces.len()).map(|face| normal(face).z).sum()
+    };
+    let raw = closed_surface(region, &views, 3);
+    let (mesh, gaps) = crate::gaps::close_gaps(&raw, 4.0);
+    assert!((area(&mesh) - 3.2 * 3.2).abs() < 0.01, "{}", area(&mesh));
+    assert!(gaps.area > 1.4 * 1.4 - 0.3 && gaps.area < 2.8, "{gaps:?}");
+    let highest = mesh.vertices.iter().map(|vertex| vertex[2].abs()).fold(0.0, f64::max);
+    assert!(highest < 0.05, "taut, but {highest}");
+    // Too wide to be closed: only the corners are rounded.
+    let (mesh, gaps) = crate::gaps::close_gaps(&raw, 0.8);
+    assert!(gaps.area < 0.5 && area(&mesh) < 3.2 * 3.2 - 1.2, "{gaps:?}");
+    // Without following the gap its blocks are missing and it has an open end.
+    let (_, gaps) = crate::gaps::close_gaps(&closed_surface(region, &views, 0), 4.0);
+    assert!(gaps.area < 1.0, "{gaps:?}");
+}
+
+#[test]
+fn cubes_follow_a_gap_alike() {
+    let views = ground_with_hole(0.7);
+    let region = CellBox { low: [-16; 3], high: [16; 3] };
+    let whole = closed_surface(region, &views, 3);
+    let parts: Vec<_> = region.tiles(8).into_iter().map(|cube| closed_surface(cube, &views, 3)).collect();
+    let sewn = crate::merge::merge(&parts);
+    let sorted = |mesh: &pgsag_scene::Mesh| {
+        let place = |vertex: u32| mesh.vertices[vertex as usize].map(f64::to_bits);
+        let mut faces: Vec<_> =
+            mesh.faces.iter().zip(&mesh.closed).map(|(face, closed)| (face.map(place), *closed)).collect();
+        faces.sort_unstable();
+        faces
+    };
+    assert!(whole.closed.contains(&1) && whole.closed.contains(&0));
+    assert!(sorted(&whole) == sorted(&sewn), "{} and {} faces", whole.faces.len(), sewn.faces.len());
+}

@@ -15,18 +15,20 @@ const REACH_VOXELS: f64 = 2.0;
 /// Pixels coarser than this many voxels leave gaps rather than fill the memory.
 const MAX_SPREAD_VOXELS: f64 = 12.0;
 
-/// Keys of the touched blocks inside `region`, sorted.
+/// Keys of the touched blocks inside `region` and so many beside it, sorted.
 pub(crate) fn touched_blocks(
     view: &DepthView<'_>,
     planes: &[PixelPlane],
     lattice: &Lattice,
     region: &CellBox,
+    margin_blocks: i32,
 ) -> Vec<[i32; 3]> {
     let width = view.camera.width as usize;
     if region.is_empty() || width == 0 {
         return Vec::new();
     }
-    let range = region.block_range();
+    let (low, high) = region.block_range();
+    let range = (low.map(|k| k - margin_blocks), high.map(|k| k + margin_blocks));
     let parts: Vec<Vec<[i32; 3]>> = planes
         .par_chunks(width * ROWS)
         .enumerate()

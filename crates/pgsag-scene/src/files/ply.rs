@@ -137,7 +137,7 @@ impl Ply {
     }
 }
 
-/// Reads a triangle mesh; polygons become fans, `building` and `group` of the faces are kept.
+/// Reads a triangle mesh; polygons become fans, `building`, `group` and `closed` of the faces are kept.
 ///
 /// # Errors
 /// [`FileError`]: damaged, no vertices, an index that leads nowhere, a vertex that is not finite.
@@ -162,7 +162,7 @@ pub fn read_floats(file: &str, bytes: &[u8]) -> Result<FloatTable, FileError> {
 }
 
 /// Writes a mesh: `double x y z`, `uchar red green blue` where there are colours, `list uchar int vertex_indices`, and
-/// `uint building`, `uint group` where there are such.
+/// `uint building`, `uint group`, `uint closed` where there are such.
 ///
 /// # Errors
 /// What the writer says.
@@ -174,7 +174,7 @@ pub fn write_mesh(out: &mut impl Write, mesh: &Mesh, comments: &[String]) -> io:
         out.write_all(header::COLORS)?;
     }
     writeln!(out, "element face {}\nproperty list uchar int vertex_indices", mesh.faces.len())?;
-    let numbers = [("building", &mesh.buildings), ("group", &mesh.groups)];
+    let numbers = [("building", &mesh.buildings), ("group", &mesh.groups), ("closed", &mesh.closed)];
     let numbers = numbers.map(|(name, values)| (name, (values.len() == mesh.faces.len()).then_some(values)));
     for (name, _) in numbers.iter().filter(|(_, values)| values.is_some_and(|values| !values.is_empty())) {
         writeln!(out, "property uint {name}")?;

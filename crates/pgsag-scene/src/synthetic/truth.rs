@@ -70,7 +70,7 @@ impl Town {
         let mut buildings: Vec<u32> = (0..faces.len()).map(|face| solids.surface_of(face as u32).building).collect();
         faces.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
         buildings.extend([0, 0]);
-        Mesh { vertices: vertices.collect(), colors: Vec::new(), faces, buildings, groups: Vec::new() }
+        Mesh { vertices: vertices.collect(), faces, buildings, ..Mesh::default() }
     }
 
     /// Points spread over the buildings, one per `spacing_m`² of what at least two cameras see from their true poses;

@@ -66,6 +66,7 @@ fn mesh() -> Vec<u8> {
         faces: (0..10).map(|i| [i, i + 1, i + 2]).collect(),
         buildings: (0..10).collect(),
         groups: vec![1; 10],
+        closed: vec![0; 10],
     };
     let mut out = Vec::new();
     ply::write_mesh(&mut out, &mesh, &["origin_world 1 2 3".into()]).expect("memory");

@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use glam::DVec3;
 use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces};
+use pgsag_mesh::gaps::close_gaps;
 use pgsag_mesh::holes::close_holes;
 use pgsag_mesh::identity::{RoofRules, given_pieces, roof_pieces};
 use pgsag_mesh::merge::split_by_building;
@@ -20,6 +21,7 @@ use super::group::{Groups, is_masked};
 use super::import::Imported;
 use super::mesh::{Surface, lattice_of, read_surface, write_surface};
 use super::{config, read_json, write_json};
+use crate::config::Config;
 use crate::error::UserError;
 use crate::lengths::Lengths;
 use crate::photographs::training_camera;
@@ -76,6 +78,8 @@ pub struct Building {
     pub views: usize,
     /// Share of its surface that at least three images see.
     pub quality: f64,
+    /// Share of its surface that no photograph measured and that only closes gaps.
+    pub closed_share: f64,
 }
 
 /// The city and its buildings.
@@ -148,7 +152,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     }
     let options = &config.buildings;
     let crumb = lengths.square_units(options.min_piece_m2);
-    let mut city = tidy(job, &city, options, &lengths);
+    let mut city = tidy(job, &city, &config, &lengths);
     if city.faces.is_empty() {
         return Err(UserError::new(
             &config.scene,
@@ -186,13 +190,19 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     job.write(&Merged { city, buildings, list })
 }
 
-/// Without crumbs and small holes.
-fn tidy(job: &Job<'_>, city: &Mesh, options: &BuildingOptions, lengths: &Lengths) -> Mesh {
+/// Without crumbs, narrow gaps and small holes.
+fn tidy(job: &Job<'_>, city: &Mesh, config: &Config, lengths: &Lengths) -> Mesh {
+    let options = &config.buildings;
     let crumbs =
         ComponentOptions { min_area: lengths.square_units(options.min_piece_m2), min_faces: options.min_piece_faces };
-    let (mut city, dropped) = drop_small(city, &crumbs);
+    let (city, dropped) = drop_small(city, &crumbs);
     if !dropped.is_empty() {
         job.say(&format!("{} crumbs of surface were dropped", dropped.len()));
+    }
+    let (mut city, gaps) = close_gaps(&city, lengths.units(config.surface.max_gap_m));
+    if gaps.faces > 0 {
+        let area = lengths.square_metres(gaps.area);
+        job.say(&format!("gaps were closed with {area:.1} m² of surface that no photograph shows"));
     }
     let closed = close_holes(&mut city, lengths.units(options.max_hole_rim_m));
     if closed.holes > 0 {
@@ -285,6 +295,7 @@ fn described(building: u32, mesh: &Mesh, up: DVec3, lengths: &Lengths) -> Buildi
     }
     let group = counts.iter().max_by_key(|(group, count)| (**count, u32::MAX - **group)).map_or(0, |(group, _)| *group);
     let area: f64 = (0..mesh.faces.len()).map(|face| face_area(mesh, face)).sum();
+    let closed = (0..mesh.faces.len()).filter(|face| !mesh.is_measured(*face)).map(|face| face_area(mesh, face));
     Building {
         building,
         group,
@@ -293,6 +304,7 @@ fn described(building: u32, mesh: &Mesh, up: DVec3, lengths: &Lengths) -> Buildi
         height_m: lengths.metres(span),
         views: 0,
         quality: 0.0,
+        closed_share: closed.sum::<f64>() / area.max(f64::MIN_POSITIVE),
     }
 }
 
@@ -397,7 +409,10 @@ mod tests {
     #[test]
     fn a_description_is_in_metres() {
         let lengths = Lengths::known(0.5);
-        let found = described(3, &squares(&[(0.0, 2)]), DVec3::X, &lengths);
+        let mut square = squares(&[(0.0, 2)]);
+        square.closed = vec![0, 1];
+        let found = described(3, &square, DVec3::X, &lengths);
+        assert_eq!(found.closed_share, 0.5);
         assert_eq!((found.building, found.group, found.faces), (3, 2, 2));
         assert!((found.area_m2 - 0.25).abs() < 1e-12 && (found.height_m - 0.5).abs() < 1e-12);
     }

@@ -1,5 +1,6 @@
 //! `mesh`: fused depth maps to surface, one cube of the city at a time inside bounded memory.
 
+use std::cell::Cell;
 use std::path::Path;
 
 use anyhow::{Context as _, Result};
@@ -15,6 +16,7 @@ use super::import::Imported;
 use super::masks::instances_of;
 use super::{config, read};
 use crate::config::Config;
+use crate::lengths::Lengths;
 use crate::photographs::{Photographs, training_camera};
 use crate::run::Run;
 use crate::run::artifact::Artifact;
@@ -28,6 +30,8 @@ pub struct SurfaceOptions {
     pub voxel_gsd: f64,
     /// The same in metres; 0: `voxel_gsd` decides.
     pub voxel_m: f64,
+    /// Gaps of the surface up to this width are closed where no photograph sees past them, metres; 0: none.
+    pub max_gap_m: f64,
     /// Side of a cube, voxels.
     pub tile_voxels: u32,
     /// The volume itself.
@@ -36,7 +40,7 @@ pub struct SurfaceOptions {
 
 impl Default for SurfaceOptions {
     fn default() -> Self {
-        Self { voxel_gsd: 1.0, voxel_m: 0.0, tile_voxels: 1024, tsdf: TsdfOptions::default() }
+        Self { voxel_gsd: 1.0, voxel_m: 0.0, max_gap_m: 3.0, tile_voxels: 1024, tsdf: TsdfOptions::default() }
     }
 }
 
@@ -187,28 +191,40 @@ impl Cube<'_, '_> {
     }
 
     fn volume(&self, region: CellBox, views: &[usize], options: TsdfOptions) -> Result<Mesh> {
+        let rounds = self.gap_rounds();
         let mut volume = Volume::new(self.lattice, region, options)?;
-        let total = 3 * views.len() as u64;
-        let tell = |done: usize| {
-            self.job.advance(done as u64, total, "views");
+        volume.follow_gaps(rounds);
+        let total = u64::from(rounds + 3) * views.len() as u64;
+        let told = Cell::new(0);
+        let tell = || {
+            self.job.advance(told.replace(told.get() + 1), total, "views");
             self.job.check()
         };
-        for (done, view) in views.iter().enumerate() {
-            tell(done)?;
+        for view in views {
+            tell()?;
             let (depth, weight, _) = read_fused(&self.job.input("fuse"), *view)?;
             volume.reserve(&self.depth_view(*view, depth, weight, None))?;
         }
-        for (done, view) in views.iter().enumerate() {
-            tell(views.len() + done)?;
+        for view in views {
+            tell()?;
             let (depth, weight, _) = read_fused(&self.job.input("fuse"), *view)?;
             let image = self.photographs.whole(*view)?;
             volume.integrate(&self.depth_view(*view, depth, weight, Some(&image)))?;
         }
-        let mut mesh = marching::extract(&volume);
+        for _ in 0..rounds {
+            let Some(first) = volume.grow()? else { break };
+            for view in views {
+                tell()?;
+                let (depth, weight, _) = read_fused(&self.job.input("fuse"), *view)?;
+                volume.integrate_into(first, &self.depth_view(*view, depth, weight, None))?;
+            }
+        }
+        let mut mesh = if rounds > 0 { marching::extract_closed(&volume) } else { marching::extract(&volume) };
         drop(volume);
+        told.set(u64::from(rounds + 2) * views.len() as u64);
         let (mut ballot, mut identity) = (Ballot::new(&mesh), None::<Ballot>);
-        for (done, view) in views.iter().enumerate() {
-            tell(2 * views.len() + done)?;
+        for view in views {
+            tell()?;
             let (depth, weight, group) = read_fused(&self.job.input("fuse"), *view)?;
             let tolerance = 3.0 * self.lattice.voxel;
             let seen = self.depth_view(*view, depth, weight, None);
@@ -220,6 +236,12 @@ impl Cube<'_, '_> {
         mesh.groups = ballot.winners();
         mesh.buildings = identity.map_or_else(Vec::new, |ballot| ballot.winners());
         Ok(mesh)
+    }
+
+    /// How many blocks far a gap must be followed to tell whether it is narrow enough.
+    fn gap_rounds(&self) -> u32 {
+        let half = 0.5 * Lengths::of(&self.imported.scene).units(self.config.surface.max_gap_m);
+        if half > 0.0 { (half / (8.0 * self.lattice.voxel)).ceil().min(64.0) as u32 + 1 } else { 0 }
     }
 
     fn depth_view<'i>(

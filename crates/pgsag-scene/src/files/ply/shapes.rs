@@ -84,7 +84,7 @@ pub(super) fn mesh(file: &str, ply: &Ply) -> Result<Mesh, FileError> {
             unsigned(values).map(Some).ok_or_else(what)
         }
     };
-    let (buildings, groups) = (number("building")?, number("group")?);
+    let (buildings, groups, closed) = (number("building")?, number("group")?, number("closed")?);
     let mut start = 0;
     for (row, &end) in ends.iter().enumerate() {
         let polygon = &values[start..end];
@@ -97,6 +97,7 @@ pub(super) fn mesh(file: &str, ply: &Ply) -> Result<Mesh, FileError> {
             mesh.faces.push([polygon[0] as u32, pair[0] as u32, pair[1] as u32]);
             mesh.buildings.extend(buildings.as_ref().map(|numbers| numbers[row]));
             mesh.groups.extend(groups.as_ref().map(|numbers| numbers[row]));
+            mesh.closed.extend(closed.as_ref().map(|numbers| numbers[row]));
         }
     }
     Ok(mesh)

@@ -7,12 +7,13 @@ fn square() -> Mesh {
         faces: vec![[0, 1, 2], [0, 2, 3]],
         buildings: vec![3, 70_000],
         groups: vec![0, 12],
+        closed: vec![0, 1],
     }
 }
 
 #[test]
 fn a_mesh_survives_its_file() {
-    let bare = Mesh { colors: Vec::new(), buildings: Vec::new(), groups: Vec::new(), ..square() };
+    let bare = Mesh { vertices: square().vertices, faces: square().faces, ..Mesh::default() };
     for mesh in [square(), bare, Mesh::default()] {
         let mut bytes = Vec::new();
         write_mesh(&mut bytes, &mesh, &["made\nby a test".into()]).unwrap();
@@ -25,12 +26,12 @@ fn a_mesh_survives_its_file() {
 fn the_header_of_a_mesh_is_as_promised() {
     let mut bytes = Vec::new();
     write_mesh(&mut bytes, &square(), &[]).unwrap();
-    let header = String::from_utf8_lossy(&bytes[..bytes.len() - 4 * 27 - 2 * 21]).into_owned();
+    let header = String::from_utf8_lossy(&bytes[..bytes.len() - 4 * 27 - 2 * 25]).into_owned();
     assert_eq!(
         header,
         "ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty double x\nproperty double y\n\
          property double z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face 2\n\
-         property list uchar int vertex_indices\nproperty uint building\nproperty uint group\nend_header\n"
+         property list uchar int vertex_indices\nproperty uint building\nproperty uint group\nproperty uint closed\nend_header\n"
     );
 }
 
