@@ -21,6 +21,8 @@ pub struct RoofRules {
     pub cell: f64,
     /// Least height difference where roofs meet; infinite: only gaps part buildings.
     pub step: f64,
+    /// Least difference of hue where roofs meet, [`Hue`] units; infinite: colours part nothing.
+    pub hue_step: f64,
     /// Roofs of less area in plan are parts of others.
     pub min_area: f64,
 }
@@ -30,10 +32,15 @@ const ENCLOSED_SHARE: f64 = 0.6;
 /// Samples of faces that are kept before they are thinned.
 const MAX_SAMPLES: usize = 1 << 20;
 
+/// What of a colour light and shade leave alone: natural logarithms of red over green and of blue over green.
+type Hue = [f64; 2];
+
 /// The relief: highest point of every occupied cell.
 struct Relief {
     keys: Vec<[i64; 2]>,
     tops: Vec<f64>,
+    /// `[cells]` Of the surface about the highest point; empty where the surface has no colours.
+    hues: Vec<Hue>,
     index: HashMap<[i64; 2], u32>,
 }
 
@@ -54,6 +61,9 @@ pub fn roof_pieces(
     let (east, north) = up.any_orthonormal_pair();
     let key = |p: DVec3| [(p.dot(east) / rules.cell).floor() as i64, (p.dot(north) / rules.cell).floor() as i64];
     let mut relief = Relief::of(mesh, &key, up, rules.cell, &is_building);
+    if rules.hue_step.is_finite() && !mesh.colors.is_empty() {
+        relief.hues = relief.hues_of(mesh, &key, up, rules.cell);
+    }
     if rules.step.is_finite() {
         relief.tops = relief.smooth();
     }
@@ -154,7 +164,38 @@ impl Relief {
         }
         highest(&mut samples);
         let index = samples.iter().enumerate().map(|(at, (key, _))| (*key, at as u32)).collect();
-        Self { keys: samples.iter().map(|s| s.0).collect(), tops: samples.iter().map(|s| s.1).collect(), index }
+        let (keys, tops) = samples.into_iter().unzip();
+        Self { keys, tops, hues: Vec::new(), index }
+    }
+
+    /// The mean colour of the surface within a cell's side below its highest point, as hue.
+    fn hues_of(&self, mesh: &Mesh, key: &impl Fn(DVec3) -> [i64; 2], up: DVec3, depth: f64) -> Vec<Hue> {
+        let mut sums = vec![[0.0; 3]; self.keys.len()];
+        for (vertex, color) in mesh.vertices.iter().zip(&mesh.colors) {
+            let at = DVec3::from(*vertex);
+            let Some(cell) = self.index.get(&key(at)).map(|cell| *cell as usize) else { continue };
+            if self.tops[cell] - at.dot(up) <= depth {
+                sums[cell].iter_mut().zip(color).for_each(|(sum, channel)| *sum += f64::from(*channel));
+            }
+        }
+        let hue = |[red, green, blue]: [f64; 3]| [red, blue].map(|other| libm::log((other + 1.0) / (green + 1.0)));
+        sums.into_iter().map(hue).collect()
+    }
+
+    /// How far the hues to both sides of a border differ; the cells at the border, which mix both, are left out where there
+    /// are others beyond.
+    fn hue_break_at(&self, at: [i64; 2], step: [i64; 2]) -> f64 {
+        let hue = |cells: [i64; 2], near: i64| {
+            let beside = |k: i64| self.index.get(&[at[0] + k * step[0], at[1] + k * step[1]]);
+            let far: Vec<Hue> = cells.iter().filter_map(|k| beside(*k)).map(|cell| self.hues[*cell as usize]).collect();
+            let near = || beside(near).map(|cell| self.hues[*cell as usize]);
+            let mean = |c: usize| far.iter().map(|hue| hue[c]).sum::<f64>() / far.len() as f64;
+            if far.is_empty() { near() } else { Some([mean(0), mean(1)]) }
+        };
+        match (hue([-2, -1], 0), hue([2, 3], 1)) {
+            (Some(before), Some(after)) => (before[0] - after[0]).abs() + (before[1] - after[1]).abs(),
+            _ => 0.0,
+        }
     }
 
     fn top(&self, key: [i64; 2]) -> Option<f64> {
@@ -189,7 +230,8 @@ impl Relief {
                 let Some(other) = self.index.get(&[at[0] + step[0], at[1] + step[1]]) else { continue };
                 let is_smooth = |k: i64| {
                     let beside = [at[0] + k * aside[0], at[1] + k * aside[1]];
-                    self.break_at(beside, step).is_some_and(|height| height < rules.step)
+                    let is_level = self.break_at(beside, step).is_some_and(|height| height < rules.step);
+                    is_level && (self.hues.is_empty() || self.hue_break_at(beside, step) < rules.hue_step)
                 };
                 // One cell that fits is no proof: a worn edge would join two houses.
                 let is_joined = is_smooth(0) && (is_smooth(-1) || is_smooth(1));
@@ -347,7 +389,7 @@ mod tests {
     }
 
     fn count(mesh: &Mesh, step: f64) -> usize {
-        let rules = RoofRules { cell: 0.5, step, min_area: 10.0 };
+        let rules = RoofRules { cell: 0.5, step, hue_step: f64::INFINITY, min_area: 10.0 };
         let mut found = roof_pieces(mesh, DVec3::Z, &rules, |_| true).expect("a good cell");
         found.sort_unstable();
         found.dedup();
@@ -367,6 +409,35 @@ mod tests {
         let mesh = town(18, 9, height);
         assert_eq!(count(&mesh, 0.45), 3);
         assert_eq!(count(&mesh, f64::INFINITY), 1);
+    }
+
+    #[test]
+    fn roofs_of_one_height_are_parted_by_hue_but_not_by_shade_or_small_things() {
+        let mut mesh = town(18, 8, |x, y| {
+            let is_chimney = (2.0..3.5).contains(&x) && (2.0..3.5).contains(&y);
+            Some(if is_chimney { 7.0 } else { 6.0 })
+        });
+        let mut paint = |color: fn(f64, f64) -> [u8; 3], hue_step: f64| {
+            mesh.colors = mesh.vertices.iter().map(|at| color(at[0], at[1])).collect();
+            let rules = RoofRules { cell: 0.5, step: 0.2, hue_step, min_area: 10.0 };
+            let mut found = roof_pieces(&mesh, DVec3::Z, &rules, |_| true).expect("a good cell");
+            found.sort_unstable();
+            found.dedup();
+            found.len()
+        };
+        let tiles = |x: f64, y: f64| {
+            let is_chimney = (2.0..3.5).contains(&x) && (2.0..3.5).contains(&y);
+            if x > 9.2 || is_chimney { [110, 112, 120] } else { [170, 90, 70] }
+        };
+        assert_eq!(paint(tiles, 0.15), 2);
+        assert_eq!(paint(tiles, f64::INFINITY), 1);
+        let shade = |x: f64, y: f64| if x + y > 12.0 { [51, 27, 21] } else { [170, 90, 70] };
+        assert_eq!(paint(shade, 0.15), 1);
+        // A patch of new tiles in the middle of a roof.
+        let patch = |x: f64, y: f64| {
+            if (6.0..11.0).contains(&x) && (2.0..6.0).contains(&y) { [110, 112, 120] } else { [170, 90, 70] }
+        };
+        assert_eq!(paint(patch, 0.15), 1);
     }
 
     #[test]
@@ -399,8 +470,13 @@ mod tests {
         };
         assert_eq!(count(&town(18, 8, height), 0.5), 2);
         assert!(
-            roof_pieces(&Mesh::default(), DVec3::Z, &RoofRules { cell: 0.0, step: 1.0, min_area: 1.0 }, |_| true)
-                .is_err()
+            roof_pieces(
+                &Mesh::default(),
+                DVec3::Z,
+                &RoofRules { cell: 0.0, step: 1.0, hue_step: 1.0, min_area: 1.0 },
+                |_| true
+            )
+            .is_err()
         );
     }
 }

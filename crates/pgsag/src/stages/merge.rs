@@ -44,6 +44,9 @@ pub struct BuildingOptions {
     /// Roofs that touch are of two buildings where their heights differ by more than this, metres, and by more than one
     /// and a half samples of the volume, which no relief resolves; 0: only gaps part.
     pub height_step_m: f64,
+    /// Roofs that touch are of two buildings also where their hues differ by more than this: |Δ ln(red / green)| +
+    /// |Δ ln(blue / green)|, which light and shade do not change; 0: colours part nothing.
+    pub hue_step: f64,
     /// Building surface of less than this is no building of its own and counts as background.
     pub min_building_m2: f64,
 }
@@ -56,6 +59,7 @@ impl Default for BuildingOptions {
             max_hole_rim_m: 6.0,
             plan_cell_m: 0.5,
             height_step_m: 0.2,
+            hue_step: 0.15,
             min_building_m2: 10.0,
         }
     }
@@ -176,6 +180,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let rules = RoofRules {
         cell: lengths.units(options.plan_cell_m).max(1.5 * voxel),
         step: if is_parted { lengths.units(options.height_step_m).max(1.5 * voxel) } else { f64::INFINITY },
+        hue_step: if options.hue_step > 0.0 { options.hue_step } else { f64::INFINITY },
         min_area: lengths.square_units(options.min_building_m2),
     };
     tell_apart(&mut city, up, &rules, crumb)?;
@@ -367,7 +372,7 @@ mod tests {
     #[test]
     fn the_largest_building_is_number_one_and_crumbs_are_background() {
         let mut city = squares(&[(0.0, 1), (10.0, 1), (11.0, 1), (20.0, 0)]);
-        let rules = |min_area: f64| RoofRules { cell: 0.5, step: f64::INFINITY, min_area };
+        let rules = |min_area: f64| RoofRules { cell: 0.5, step: f64::INFINITY, hue_step: f64::INFINITY, min_area };
         number_buildings(&mut city, DVec3::Z, &rules(0.5)).expect("numbered");
         assert_eq!(city.buildings, [2, 2, 1, 1, 1, 1, 0, 0]);
         number_buildings(&mut city, DVec3::Z, &rules(1.5)).expect("numbered");
@@ -392,7 +397,7 @@ mod tests {
     fn given_numbers_stay_and_what_nobody_numbered_gets_the_next() {
         let mut city = squares(&[(0.0, 1), (1.0, 1), (2.0, 1), (10.0, 2), (20.0, 0)]);
         city.buildings = vec![7, 0, 7, 4, 4, 4, 0, 0, 9, 9];
-        let rules = RoofRules { cell: 0.5, step: f64::INFINITY, min_area: 0.4 };
+        let rules = RoofRules { cell: 0.5, step: f64::INFINITY, hue_step: f64::INFINITY, min_area: 0.4 };
         number_buildings(&mut city, DVec3::Z, &rules).expect("numbered");
         assert_eq!(city.buildings, [7, 7, 7, 4, 4, 4, 8, 8, 0, 0]);
         assert_eq!(city.groups, [1, 1, 1, 1, 1, 1, 2, 2, 0, 0]);
