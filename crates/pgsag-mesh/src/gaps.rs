@@ -10,7 +10,7 @@ use std::collections::BinaryHeap;
 use glam::DVec3;
 use pgsag_scene::Mesh;
 
-use crate::components::{keep_faces, sides};
+use crate::components::{Sets, keep_faces, sides};
 
 /// Rounds of drawing taut, and by how much each goes beyond the middle (successive over-relaxation): for gaps of some 60
 /// edges across.
@@ -27,7 +27,8 @@ pub struct Gaps {
 }
 
 /// Keeps the `closed` faces of a mesh that close gaps no wider than `width` scene units, draws them taut between the
-/// measured surface, and gives them its colours, building and group. All other `closed` faces are dropped.
+/// measured surface, and gives them its colours, building and group; gaps that reach the background are background, since
+/// what nobody measured is not claimed for a building. All other `closed` faces are dropped.
 pub fn close_gaps(mesh: &Mesh, width: f64) -> (Mesh, Gaps) {
     if mesh.closed.iter().all(|closed| *closed == 0) {
         return (mesh.clone(), Gaps::default());
@@ -47,6 +48,7 @@ pub fn close_gaps(mesh: &Mesh, width: f64) -> (Mesh, Gaps) {
         }
     }
     let is_kept = |face: usize| mesh.is_measured(face) || from_wide[face].0 > margin;
+    patch.leave_to_background(&mut labelled, is_kept);
     let mut kept = keep_faces(&labelled, is_kept);
     draw_taut(&mut kept);
     let closing = (0..kept.faces.len()).filter(|face| !kept.is_measured(*face));
@@ -66,7 +68,7 @@ struct Patch {
     /// `[F + 1]` Where the closing neighbours of each face begin in `beside`.
     starts: Vec<u32>,
     beside: Vec<u32>,
-    /// Closing faces at measured ones, and the measured one of each.
+    /// Closing faces at measured ones, with each of these; the smallest last.
     attached: Vec<(u32, u32)>,
     /// `[F]` Closing faces with an edge that no other face has.
     is_open: Vec<bool>,
@@ -103,9 +105,30 @@ impl Patch {
             patch.starts[face + 1] += patch.starts[face];
         }
         patch.beside = pairs.into_iter().map(|[_, other]| other).collect();
-        patch.attached.sort_unstable();
-        patch.attached.dedup_by_key(|(face, _)| *face);
+        patch.attached.sort_unstable_by_key(|(face, measured)| (*face, Reverse(*measured)));
         patch
+    }
+
+    /// Gives group and building 0 to the connected closing faces of which one lies at a measured face of group 0.
+    fn leave_to_background(&self, mesh: &mut Mesh, is_kept: impl Fn(usize) -> bool) {
+        if mesh.groups.is_empty() {
+            return;
+        }
+        let mut sets = Sets::new(mesh.faces.len());
+        for face in (0..mesh.faces.len() as u32).filter(|face| is_kept(*face as usize)) {
+            let beside = &self.beside[self.starts[face as usize] as usize..self.starts[face as usize + 1] as usize];
+            beside.iter().filter(|other| is_kept(**other as usize)).for_each(|other| sets.join(face, *other));
+        }
+        let mut is_background = vec![false; mesh.faces.len()];
+        for (face, measured) in self.attached.iter().filter(|(face, _)| is_kept(*face as usize)) {
+            is_background[sets.find(*face) as usize] |= mesh.groups[*measured as usize] == 0;
+        }
+        for face in 0..mesh.faces.len() {
+            if !mesh.is_measured(face) && is_background[sets.find(face as u32) as usize] {
+                mesh.groups[face] = 0;
+                mesh.buildings.get_mut(face).into_iter().for_each(|building| *building = 0);
+            }
+        }
     }
 
     /// `[F]` For closing faces within `limit` of one of the first: the way over closing faces, and whose it is.

@@ -48,6 +48,28 @@ fn a_narrow_gap_is_closed_taut_with_the_colours_and_groups_around_it() {
 }
 
 #[test]
+fn a_gap_between_a_building_and_the_ground_is_ground() {
+    let mut mesh = plate(20, square(7, 13), 0.0);
+    mesh.buildings = mesh.groups.clone();
+    let labels = |mesh: &mut Mesh| [&mut mesh.groups, &mut mesh.buildings].map(|labels| std::mem::take(labels));
+    let closing = |mesh: &Mesh| (0..mesh.faces.len()).filter(|face| !mesh.is_measured(*face)).collect::<Vec<_>>();
+    // One measured square beside the gap is of the ground.
+    for face in 0..mesh.faces.len() {
+        let [x, y, _] = mesh.triangle(face)[0];
+        if (6.0..=7.0).contains(&x) && (9.0..=10.0).contains(&y) && mesh.is_measured(face) {
+            (mesh.groups[face], mesh.buildings[face]) = (0, 0);
+        }
+    }
+    let (mut found, gaps) = close_gaps(&mesh, 8.0);
+    let at = closing(&found);
+    assert_eq!(at.len(), gaps.faces);
+    for labels in labels(&mut found) {
+        assert!(at.iter().all(|face| labels[*face] == 0));
+        assert!(labels.iter().filter(|label| **label == 0).count() < at.len() + 10, "measured labels stay");
+    }
+}
+
+#[test]
 fn a_wide_gap_stays_open_and_so_does_the_end_of_the_surface() {
     let (mesh, gaps) = close_gaps(&plate(20, square(4, 16), 0.0), 4.0);
     assert!(gaps.area < 8.0, "its corners alone: {gaps:?}");
