@@ -29,33 +29,57 @@ pub struct Gaps {
 /// Keeps the `closed` faces of a mesh that close gaps no wider than `width` scene units, draws them taut between the
 /// measured surface, and gives them its colours, building and group; gaps that reach the background are background, since
 /// what nobody measured is not claimed for a building. All other `closed` faces are dropped.
-pub fn close_gaps(mesh: &Mesh, width: f64) -> (Mesh, Gaps) {
+#[must_use]
+pub fn close_gaps(mut mesh: Mesh, width: f64) -> (Mesh, Gaps) {
     if mesh.closed.iter().all(|closed| *closed == 0) {
-        return (mesh.clone(), Gaps::default());
+        return (mesh, Gaps::default());
     }
-    let reach = width / 2.0;
-    let patch = Patch::new(mesh);
-    let from_surface = patch.walk(patch.attached.iter().copied(), f64::INFINITY);
-    let is_wide = |face: &u32| from_surface[*face as usize].0 > reach || patch.is_open[*face as usize];
-    let wide = (0..mesh.faces.len() as u32).filter(|face| !mesh.is_measured(*face as usize)).filter(is_wide);
-    // A way over faces is longer than a straight one, and its last step is lost.
-    let margin = 1.25 * reach;
-    let from_wide = patch.walk(wide, margin);
-    let mut labelled = mesh.clone();
+    let patch = Patch::new(&mesh);
+    let (from_surface, is_kept) = patch.narrow(&mesh, width);
     for (face, (_, origin)) in from_surface.iter().enumerate().filter(|(_, (distance, _))| distance.is_finite()) {
-        for labels in [&mut labelled.buildings, &mut labelled.groups].into_iter().filter(|labels| !labels.is_empty()) {
+        for labels in [&mut mesh.buildings, &mut mesh.groups].into_iter().filter(|labels| !labels.is_empty()) {
             labels[face] = labels[*origin as usize];
         }
     }
-    let is_kept = |face: usize| mesh.is_measured(face) || from_wide[face].0 > margin;
-    patch.leave_to_background(&mut labelled, is_kept);
-    let mut kept = keep_faces(&labelled, is_kept);
+    drop(from_surface);
+    patch.leave_to_background(&mut mesh, |face| is_kept[face]);
+    drop(patch);
+    let mut kept = keep_faces(&mesh, |face| is_kept[face]);
+    drop(mesh);
+    kept.closed.iter_mut().for_each(|closed| *closed = (*closed).min(1));
     draw_taut(&mut kept);
     let closing = (0..kept.faces.len()).filter(|face| !kept.is_measured(*face));
     let areas = closing.map(|face| area(&kept, face));
     let gaps = areas.fold(Gaps::default(), |sum, area| Gaps { area: sum.area + area, faces: sum.faces + 1 });
     (kept, gaps)
 }
+
+/// Drops the `closed` faces of one cube that [`close_gaps`] would drop from the whole, and marks those that it would keep
+/// with 2, as far as the cube alone can tell: `inset` is how far a place is from where another cube goes on.
+#[must_use]
+pub fn drop_wide(mut mesh: Mesh, width: f64, inset: impl Fn(DVec3) -> f64) -> Mesh {
+    let patch = Patch::new(&mesh);
+    let (_, is_kept) = patch.narrow(&mesh, width);
+    let insets: Vec<f64> = patch.centers.iter().map(|center| inset(*center)).collect();
+    drop(patch);
+    for face in 0..mesh.faces.len() {
+        if !mesh.is_measured(face) && is_kept[face] && insets[face] > DECIDED_WIDTHS * width {
+            mesh.closed[face] = DECIDED;
+        }
+    }
+    keep_faces(&mesh, |face| is_kept[face] || insets[face] <= DROPPED_WIDTHS * width)
+}
+
+/// `closed` of a face that stays.
+const DECIDED: u32 = 2;
+/// What lies farther away than so many widths does not decide whether a face stays: half a width to the surface, the
+/// margin beyond, and some.
+const DECIDED_WIDTHS: f64 = 1.2;
+/// Nor are faces farther away than this missed by those that are still to be decided.
+const DROPPED_WIDTHS: f64 = DECIDED_WIDTHS + 0.7;
+
+/// A way over faces is longer than a straight one, and its last step is lost.
+const MARGIN: f64 = 1.25;
 
 fn area(mesh: &Mesh, face: usize) -> f64 {
     let [a, b, c] = mesh.triangle(face).map(DVec3::from);
@@ -107,6 +131,23 @@ impl Patch {
         patch.beside = pairs.into_iter().map(|[_, other]| other).collect();
         patch.attached.sort_unstable_by_key(|(face, measured)| (*face, Reverse(*measured)));
         patch
+    }
+
+    /// The way of every closing face to the measured surface and which face it leads to, and `[F]` whether a face is
+    /// measured or closes a gap no wider than `width`.
+    fn narrow(&self, mesh: &Mesh, width: f64) -> (Vec<(f64, u32)>, Vec<bool>) {
+        let reach = width / 2.0;
+        let from_surface = self.walk(self.attached.iter().copied(), f64::INFINITY);
+        let is_decided = |face: usize| mesh.closed.get(face) == Some(&DECIDED);
+        let is_wide = |face: &u32| {
+            let at = *face as usize;
+            !is_decided(at) && (from_surface[at].0 > reach || self.is_open[at])
+        };
+        let wide = (0..mesh.faces.len() as u32).filter(|face| !mesh.is_measured(*face as usize)).filter(is_wide);
+        let from_wide = self.walk(wide, MARGIN * reach);
+        let is_kept = |face: usize| mesh.is_measured(face) || is_decided(face) || from_wide[face].0.is_infinite();
+        let kept = (0..mesh.faces.len()).map(is_kept).collect();
+        (from_surface, kept)
     }
 
     /// Gives group and building 0 to the connected closing faces of which one lies at a measured face of group 0.

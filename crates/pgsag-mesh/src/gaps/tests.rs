@@ -33,7 +33,7 @@ fn square(low: u32, high: u32) -> impl Fn(u32, u32) -> bool {
 
 #[test]
 fn a_narrow_gap_is_closed_taut_with_the_colours_and_groups_around_it() {
-    let (mesh, gaps) = close_gaps(&plate(20, square(7, 13), 3.0), 16.0);
+    let (mesh, gaps) = close_gaps(plate(20, square(7, 13), 3.0), 16.0);
     assert_eq!(gaps.faces, 72);
     assert!((gaps.area - 36.0).abs() < 1e-6, "{gaps:?}");
     assert!(mesh.vertices.iter().all(|vertex| vertex[2].abs() < 1e-6));
@@ -60,7 +60,7 @@ fn a_gap_between_a_building_and_the_ground_is_ground() {
             (mesh.groups[face], mesh.buildings[face]) = (0, 0);
         }
     }
-    let (mut found, gaps) = close_gaps(&mesh, 8.0);
+    let (mut found, gaps) = close_gaps(mesh.clone(), 8.0);
     let at = closing(&found);
     assert_eq!(at.len(), gaps.faces);
     for labels in labels(&mut found) {
@@ -70,12 +70,27 @@ fn a_gap_between_a_building_and_the_ground_is_ground() {
 }
 
 #[test]
+fn what_a_cube_drops_the_whole_would_drop() {
+    // A narrow pane and a wide one; nothing is decided near the plate's right side, where another cube might go on.
+    let pane =
+        |x: u32, y: u32| square(4, 8)(x, y) || ((12..26).contains(&x) && (4..18).contains(&y)) || (x >= 34 && y >= 30);
+    let mesh = plate(40, pane, 0.0);
+    let dropped = drop_wide(mesh.clone(), 6.0, |center| 40.0 - center.x);
+    assert!(dropped.faces.len() < mesh.faces.len() - 200, "{} of {}", dropped.faces.len(), mesh.faces.len());
+    let (whole, parts) = (close_gaps(mesh.clone(), 6.0), close_gaps(dropped, 6.0));
+    assert_eq!(whole.1.faces, parts.1.faces);
+    assert!((whole.1.area - parts.1.area).abs() < 1e-9);
+    assert_eq!(whole.0.closed.iter().sum::<u32>(), whole.1.faces as u32);
+    assert!(drop_wide(mesh.clone(), 6.0, |_| 0.0).closed == mesh.closed, "nothing can be told");
+}
+
+#[test]
 fn a_wide_gap_stays_open_and_so_does_the_end_of_the_surface() {
-    let (mesh, gaps) = close_gaps(&plate(20, square(4, 16), 0.0), 4.0);
+    let (mesh, gaps) = close_gaps(plate(20, square(4, 16), 0.0), 4.0);
     assert!(gaps.area < 8.0, "its corners alone: {gaps:?}");
     assert!((0..mesh.faces.len()).filter(|face| mesh.is_measured(*face)).count() == 2 * (400 - 144));
     // A pane at the plate's edge has an open end: of a slot as deep as wide nothing is left.
-    let (mesh, gaps) = close_gaps(&plate(20, |x, y| x < 4 && (8..12).contains(&y), 0.0), 10.0);
+    let (mesh, gaps) = close_gaps(plate(20, |x, y| x < 4 && (8..12).contains(&y), 0.0), 10.0);
     assert_eq!(gaps, Gaps::default());
     assert_eq!(mesh.faces.len(), 2 * (400 - 16));
 }
@@ -86,7 +101,7 @@ fn a_slot_is_closed_up_to_its_wide_end() {
     let pane = |x: u32, y: u32| {
         ((4..14).contains(&x) && (19..21).contains(&y)) || ((14..26).contains(&x) && (14..26).contains(&y))
     };
-    let (mesh, gaps) = close_gaps(&plate(40, pane, 0.0), 6.0);
+    let (mesh, gaps) = close_gaps(plate(40, pane, 0.0), 6.0);
     assert!(gaps.area > 10.0 && gaps.area < 32.0, "{gaps:?}");
     let reaches = (0..mesh.faces.len()).filter(|face| !mesh.is_measured(*face)).map(|face| mesh.triangle(face)[0][0]);
     assert!(reaches.clone().fold(f64::INFINITY, f64::min) < 5.0, "the narrow end is closed");
@@ -95,11 +110,11 @@ fn a_slot_is_closed_up_to_its_wide_end() {
 #[test]
 fn what_was_measured_stays_as_it_is() {
     let mut mesh = plate(6, |_, _| false, 0.0);
-    assert_eq!(close_gaps(&mesh, 5.0).0, mesh);
+    assert_eq!(close_gaps(mesh.clone(), 5.0).0, mesh);
     mesh.closed.clear();
-    assert_eq!(close_gaps(&mesh, 5.0).0, mesh);
+    assert_eq!(close_gaps(mesh.clone(), 5.0).0, mesh);
     // Closing faces that touch nothing measured are dropped.
     let mut mesh = plate(6, |_, _| true, 0.0);
     mesh.groups = vec![0; mesh.faces.len()];
-    assert!(close_gaps(&mesh, 50.0).0.faces.is_empty());
+    assert!(close_gaps(mesh.clone(), 50.0).0.faces.is_empty());
 }

@@ -210,16 +210,16 @@ fn a_gap_that_nobody_measured_is_closed_at_the_end_of_free_space() {
         (0..mesh.faces.len()).map(|face| normal(face).z).sum()
     };
     let raw = closed_surface(region, &views, 3);
-    let (mesh, gaps) = crate::gaps::close_gaps(&raw, 4.0);
+    let (mesh, gaps) = crate::gaps::close_gaps(raw.clone(), 4.0);
     assert!((area(&mesh) - 3.2 * 3.2).abs() < 0.01, "{}", area(&mesh));
     assert!(gaps.area > 1.4 * 1.4 - 0.3 && gaps.area < 2.8, "{gaps:?}");
     let highest = mesh.vertices.iter().map(|vertex| vertex[2].abs()).fold(0.0, f64::max);
     assert!(highest < 0.05, "taut, but {highest}");
     // Too wide to be closed: only the corners are rounded.
-    let (mesh, gaps) = crate::gaps::close_gaps(&raw, 0.8);
+    let (mesh, gaps) = crate::gaps::close_gaps(raw.clone(), 0.8);
     assert!(gaps.area < 0.5 && area(&mesh) < 3.2 * 3.2 - 1.2, "{gaps:?}");
     // Without following the gap its blocks are missing and it has an open end.
-    let (_, gaps) = crate::gaps::close_gaps(&closed_surface(region, &views, 0), 4.0);
+    let (_, gaps) = crate::gaps::close_gaps(closed_surface(region, &views, 0), 4.0);
     assert!(gaps.area < 1.0, "{gaps:?}");
 }
 

@@ -131,7 +131,7 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let size = |name: &String| std::fs::metadata(folder.join(name).join("surface.ply")).map_or(0, |found| found.len());
     let bytes: u64 = run.finished_jobs("mesh")?.iter().map(size).sum();
     // Telling buildings apart takes as much again.
-    let each = if is_masked(&run.stage_folder("group"))? { 10 } else { 5 };
+    let each = if is_masked(&run.stage_folder("group"))? { 8 } else { 6 };
     let cost = Cost { memory_bytes: (64 << 20) + each * bytes, disk_bytes: 3 * bytes, cpu_secs: bytes as f64 * 50e-9 };
     Ok(JobPlan::whole(&["import", "group", "mesh"], cost))
 }
@@ -167,9 +167,8 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     }
     if !groups.masked {
         job.warn("no masks: buildings are not separated, buildings.ply holds the whole surface");
-        city.buildings = vec![0; city.faces.len()];
-        city.groups = vec![1; city.faces.len()];
-        return job.write(&Merged { buildings: city.clone(), city, list: Vec::new() });
+        let buildings = unmasked(&mut city, crumb);
+        return job.write(&Merged { buildings, city, list: Vec::new() });
     }
     let up = imported.scene.frame.up_world;
     let voxel = lattice_of(&groups.extent, &config, imported.scene.frame.metres_per_unit).voxel;
@@ -204,7 +203,7 @@ fn tidy(job: &Job<'_>, city: &Mesh, config: &Config, lengths: &Lengths) -> Mesh 
     if !dropped.is_empty() {
         job.say(&format!("{} crumbs of surface were dropped", dropped.len()));
     }
-    let (mut city, gaps) = close_gaps(&city, lengths.units(config.surface.max_gap_m));
+    let (mut city, gaps) = close_gaps(city, lengths.units(config.surface.max_gap_m));
     if gaps.faces > 0 {
         let area = lengths.square_metres(gaps.area);
         job.say(&format!("gaps were closed with {area:.1} m² of surface that no photograph shows"));
@@ -215,6 +214,16 @@ fn tidy(job: &Job<'_>, city: &Mesh, config: &Config, lengths: &Lengths) -> Mesh 
         job.say(&format!("{} holes were closed with {area:.1} m² of surface", closed.holes));
     }
     city
+}
+
+/// Labels a city without masks, one group and no building; returns what its buildings may lie in: all that was measured
+/// and what closes gaps of less than `crumb`, scene units squared.
+fn unmasked(city: &mut Mesh, crumb: f64) -> Mesh {
+    let measured: Vec<u32> = (0..city.faces.len()).map(|face| u32::from(city.is_measured(face))).collect();
+    let kept = settle(city, &measured, crumb);
+    city.buildings = vec![0; city.faces.len()];
+    city.groups = vec![1; city.faces.len()];
+    keep_faces(city, |face| kept[face] != 0)
 }
 
 /// Share of building surface that must lie below the cameras for its highest parts to be roofs.
@@ -409,6 +418,18 @@ mod tests {
         city.buildings = vec![1, 1, 1, 1, 1, 1, 0, 0];
         match_groups(&mut city);
         assert_eq!(city.groups, [2, 2, 2, 2, 2, 2, 0, 0]);
+    }
+
+    #[test]
+    fn without_masks_wide_gaps_are_of_the_city_and_of_no_building() {
+        let mut city = squares(&[(0.0, 0), (10.0, 0)]);
+        // The second square closes a gap and a smaller face one beside the first.
+        city.faces.push([1, 2, 4]);
+        city.closed = vec![0, 0, 1, 1, 1];
+        let buildings = unmasked(&mut city, 5.0);
+        assert_eq!((city.groups.as_slice(), city.buildings.as_slice()), ([1; 5].as_slice(), [0; 5].as_slice()));
+        assert_eq!(buildings.closed, [0, 0, 1], "what touches nothing measured stays apart, however small");
+        assert_eq!(unmasked(&mut city, 0.1).closed, [0, 0]);
     }
 
     #[test]

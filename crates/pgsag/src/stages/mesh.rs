@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use glam::DVec3;
+use pgsag_mesh::gaps::drop_wide;
 use pgsag_mesh::{CellBox, DepthView, Lattice, MeshError, TsdfOptions, Volume, marching};
 use pgsag_scene::files::ply::{read_mesh, write_mesh};
 use pgsag_scene::{Map, Mesh};
@@ -40,7 +41,7 @@ pub struct SurfaceOptions {
 
 impl Default for SurfaceOptions {
     fn default() -> Self {
-        Self { voxel_gsd: 1.0, voxel_m: 0.0, max_gap_m: 3.0, tile_voxels: 1024, tsdf: TsdfOptions::default() }
+        Self { voxel_gsd: 1.0, voxel_m: 0.0, max_gap_m: 8.0, tile_voxels: 1024, tsdf: TsdfOptions::default() }
     }
 }
 
@@ -161,7 +162,9 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         let unit = if scale.is_some() { "scene units of known scale" } else { "scene units of unknown scale" };
         job.say(&format!("the volume is sampled every {:.4} {unit}", lattice.voxel));
     }
-    let cube = Cube { job, config: &config, imported: &imported, photographs: &photographs, lattice };
+    let extent = Groups::read(&job.run.stage_folder("group"))?.extent;
+    let everything = lattice.cells_covering(extent.low, extent.high);
+    let cube = Cube { job, config: &config, imported: &imported, photographs: &photographs, lattice, everything };
     let mesh = cube.surface(tile.region, &tile.views)?;
     job.write(&Surface(mesh))
 }
@@ -172,6 +175,8 @@ struct Cube<'a, 'j> {
     imported: &'a Imported,
     photographs: &'a Photographs,
     lattice: Lattice,
+    /// All cubes together.
+    everything: CellBox,
 }
 
 impl Cube<'_, '_> {
@@ -221,6 +226,9 @@ impl Cube<'_, '_> {
         }
         let mut mesh = if rounds > 0 { marching::extract_closed(&volume) } else { marching::extract(&volume) };
         drop(volume);
+        if rounds > 0 {
+            mesh = drop_wide(mesh, self.gap_width(), |center| self.inset(region, center));
+        }
         told.set(u64::from(rounds + 2) * views.len() as u64);
         let (mut ballot, mut identity) = (Ballot::new(&mesh), None::<Ballot>);
         for view in views {
@@ -238,9 +246,25 @@ impl Cube<'_, '_> {
         Ok(mesh)
     }
 
+    /// The widest gap that is closed, scene units.
+    fn gap_width(&self) -> f64 {
+        Lengths::of(&self.imported.scene).units(self.config.surface.max_gap_m)
+    }
+
+    /// How far a place inside `region` is from where another cube goes on, scene units.
+    fn inset(&self, region: CellBox, at: DVec3) -> f64 {
+        let at = self.lattice.to_voxels(at).to_array();
+        let sides = (0..3).flat_map(|a| {
+            let below = (region.low[a] > self.everything.low[a]).then(|| at[a] - f64::from(region.low[a]));
+            let above = (region.high[a] < self.everything.high[a]).then(|| f64::from(region.high[a]) - at[a]);
+            [below, above]
+        });
+        self.lattice.voxel * sides.flatten().fold(f64::INFINITY, f64::min)
+    }
+
     /// How many blocks far a gap must be followed to tell whether it is narrow enough.
     fn gap_rounds(&self) -> u32 {
-        let half = 0.5 * Lengths::of(&self.imported.scene).units(self.config.surface.max_gap_m);
+        let half = 0.5 * self.gap_width();
         if half > 0.0 { (half / (8.0 * self.lattice.voxel)).ceil().min(64.0) as u32 + 1 } else { 0 }
     }
 
