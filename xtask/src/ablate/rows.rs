@@ -60,7 +60,7 @@ const VARIANTS: &[(&str, &str, &[&str])] = &[
     ("no-filter", "depths not checked against other views", &["filter.max_reprojection_px=1e6", "filter.max_relative_depth=1e6"]),
     ("single-full", "depths that one view alone sees weigh as any", &["filter.single_view_weight=1"]),
     ("gaps", "gaps and holes stay open", &["surface.max_gap_m=0", "buildings.max_hole_rim_m=0"]),
-    ("gaps-8", "gaps of up to 8 m are closed", &["surface.max_gap_m=8"]),
+    ("gaps-3", "gaps of up to 3 m are closed, not 8", &["surface.max_gap_m=3"]),
     ("holes", "holes stay open", &["buildings.max_hole_rim_m=0"]),
     ("no-support", "surface also where no point is near", &["support.reach_spacings=0"]),
     ("steps-kept", "depth steps inside of a pixel kept", &["depth.max_step_gsd=1e6"]),

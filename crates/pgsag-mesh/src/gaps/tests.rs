@@ -51,7 +51,7 @@ fn a_narrow_gap_is_closed_taut_with_the_colours_and_groups_around_it() {
 fn a_gap_between_a_building_and_the_ground_is_ground() {
     let mut mesh = plate(20, square(7, 13), 0.0);
     mesh.buildings = mesh.groups.clone();
-    let labels = |mesh: &mut Mesh| [&mut mesh.groups, &mut mesh.buildings].map(|labels| std::mem::take(labels));
+    let labels = |mesh: &mut Mesh| [&mut mesh.groups, &mut mesh.buildings].map(std::mem::take);
     let closing = |mesh: &Mesh| (0..mesh.faces.len()).filter(|face| !mesh.is_measured(*face)).collect::<Vec<_>>();
     // One measured square beside the gap is of the ground.
     for face in 0..mesh.faces.len() {
