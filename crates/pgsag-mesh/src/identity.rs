@@ -21,7 +21,7 @@ pub struct RoofRules {
     pub cell: f64,
     /// Least height difference where roofs meet; infinite: only gaps part buildings.
     pub step: f64,
-    /// Least difference of hue where roofs meet, [`Hue`] units; infinite: colours part nothing.
+    /// Least difference of hue where roofs meet, |Δ ln(red / green)| + |Δ ln(blue / green)|; infinite: colours part nothing.
     pub hue_step: f64,
     /// Roofs of less area in plan are parts of others.
     pub min_area: f64,

@@ -157,6 +157,8 @@ struct Needs {
     with_evidence: bool,
     /// With it, bytes.
     evidence_bytes: u64,
+    /// Whether pictures of the distances from the truth are drawn, which search the whole city: alike.
+    with_distances: bool,
 }
 
 impl Needs {
@@ -183,9 +185,12 @@ impl Needs {
             secs += (6e-9 * f64::from(config.evidence.pairs) + 60e-9) * city as f64;
         }
         // The city is gone before the buildings are judged.
-        let without = base + 3 * coarse + judged.max(4 * city);
-        let memory_bytes = if with_evidence { evidence_bytes } else { without };
-        Ok(Self { cost: Cost { memory_bytes, disk_bytes: 1 << 20, cpu_secs: secs }, with_evidence, evidence_bytes })
+        let drawn = base + 3 * coarse + judged.max(12 * city);
+        let with_distances = drawn <= limit && judged > 0;
+        let without = if with_distances { drawn } else { base + 3 * coarse + judged.max(4 * city) };
+        let memory_bytes = if with_evidence { evidence_bytes.max(without) } else { without };
+        let cost = Cost { memory_bytes, disk_bytes: 1 << 20, cpu_secs: secs };
+        Ok(Self { cost, with_evidence, evidence_bytes, with_distances })
     }
 }
 
@@ -218,7 +223,11 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     }
     let truth = TruthFile::read(Path::new(&config.truth))?;
     let views = chosen(&groups.groups, imported.scene.views.len());
-    easel.distances(&views, &city, &truth).context("pictures of the score")?;
+    if needs.with_distances {
+        easel.distances(&views, &city, &truth).context("pictures of the score")?;
+    } else {
+        job.warn("no pictures of the distances from the truth: the memory limit forbids them");
+    }
     write_pictures(job, &easel.drawn)?;
     drop(city);
     job.write(&Scored(Some(scored(job, &config, &imported, &groups, &truth)?)))
