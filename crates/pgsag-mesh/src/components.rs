@@ -109,7 +109,7 @@ pub fn drop_small(mesh: &Mesh, options: &ComponentOptions) -> (Mesh, Vec<Dropped
     if !mesh.closed.is_empty() {
         let mut mesh = mesh.clone();
         for (closed, label) in mesh.closed.iter_mut().zip(&labels) {
-            *closed |= u32::from(small[*label as usize]);
+            *closed = (*closed).max(u32::from(small[*label as usize]));
         }
         return (mesh, dropped);
     }

@@ -55,7 +55,8 @@ pub fn close_gaps(mut mesh: Mesh, width: f64) -> (Mesh, Gaps) {
 }
 
 /// Drops the `closed` faces of one cube that [`close_gaps`] would drop from the whole, and marks those that it would keep
-/// with 2, as far as the cube alone can tell: `inset` is how far a place is from where another cube goes on.
+/// with 2, as far as the cube alone can tell: `inset` is how far a place is from where another cube goes on. A crumb counts
+/// as surface here, so that gaps about crumbs may be kept which the whole would drop.
 #[must_use]
 pub fn drop_wide(mut mesh: Mesh, width: f64, inset: impl Fn(DVec3) -> f64) -> Mesh {
     let patch = Patch::new(&mesh);
@@ -138,7 +139,8 @@ impl Patch {
     fn narrow(&self, mesh: &Mesh, width: f64) -> (Vec<(f64, u32)>, Vec<bool>) {
         let reach = width / 2.0;
         let from_surface = self.walk(self.attached.iter().copied(), f64::INFINITY);
-        let is_decided = |face: usize| mesh.closed.get(face) == Some(&DECIDED);
+        // One that hung on a crumb hangs on nothing any more.
+        let is_decided = |face: usize| mesh.closed.get(face) == Some(&DECIDED) && from_surface[face].0.is_finite();
         let is_wide = |face: &u32| {
             let at = *face as usize;
             !is_decided(at) && (from_surface[at].0 > reach || self.is_open[at])
