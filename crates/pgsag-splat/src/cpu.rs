@@ -79,7 +79,7 @@ pub struct Cpu {
 #[derive(Default)]
 struct Scratch {
     losses: Evaluation<f32>,
-    sums: Vec<lanes::SharedLine>,
+    sums: Vec<lanes::Line>,
     plain: Vec<[f32; 2]>,
     parts: Spare<PartGradients>,
 }
@@ -190,6 +190,7 @@ impl Cpu {
         self.phase("backward");
         let sums = Sums {
             bins: &render.buffers.bins,
+            pairs: &scratch.sums,
             blocks: &render.buffers.blocks,
             plain: &scratch.plain,
             averaged_pixels: render.options.statistics.then_some(averaged_pixels as f32),
@@ -201,7 +202,7 @@ impl Cpu {
             color: !leaves_color_out(&render.options),
             d_smallest_scale: if accumulate { 0.0 } else { render.d_smallest_scale },
         };
-        reduce(self.level, cloud, &sums, &mut scratch.sums, back, accumulate);
+        reduce(self.level, cloud, &sums, back, accumulate);
         self.give_scratch(scratch);
         self.phase("gradient");
     }

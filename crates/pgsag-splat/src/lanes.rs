@@ -6,8 +6,6 @@
 
 pub(crate) mod wide;
 
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-
 use fearless_simd::{Level, Simd, prelude::*};
 use serde::{Deserialize, Serialize};
 
@@ -39,32 +37,6 @@ impl Line {
     #[inline(always)]
     pub(crate) fn store<S: Simd>(&mut self, _simd: S, at: usize, vector: S::f32s) {
         vector.store_slice(&mut self.0[at..at + S::f32s::LEN]);
-    }
-}
-
-/// A line that any thread may write: eight plain moves.
-#[derive(Debug, Default)]
-#[repr(C, align(64))]
-pub(crate) struct SharedLine([AtomicU64; LANES / 2]);
-
-impl SharedLine {
-    /// Writes it.
-    #[inline(always)]
-    pub(crate) fn set(&self, line: &Line) {
-        let words: [u64; LANES / 2] = bytemuck::cast(line.0);
-        for (to, word) in self.0.iter().zip(words) {
-            to.store(word, Relaxed);
-        }
-    }
-
-    /// Reads it, when nobody writes.
-    #[inline(always)]
-    pub(crate) fn get(&mut self) -> Line {
-        let mut words = [0; LANES / 2];
-        for (word, from) in words.iter_mut().zip(&mut self.0) {
-            *word = *from.get_mut();
-        }
-        Line(bytemuck::cast(words))
     }
 }
 
@@ -146,18 +118,31 @@ macro_rules! at_level {
 }
 pub(crate) use at_level;
 
-/// 2 to the power of `x`, for `x` in [-126, 126]; anything outside. Relative error 7.5e-8 (degree 5 on [-1/2, 1/2]).
+/// 2 to the power of `x`, for `x` in [-126, 126]; anything outside. Relative error 2e-7 (degree 5 on [-1/2, 1/2]).
 /// Own polynomial, so that every machine computes the same.
 #[inline(always)]
 #[expect(clippy::approx_constant, reason = "the coefficient of the best polynomial is near ln 2, and is not ln 2")]
 pub(crate) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    exp2_by(simd, x, [1.327_647_2e-3, 9.675_541e-3, 5.550_713e-2, 2.402_212e-1, 6.931_47e-1, 1.000_000_1])
+}
+
+/// The same with a relative error of 3e-6 (degree 4): for what is blended.
+#[inline(always)]
+#[expect(clippy::approx_constant, reason = "the coefficient of the best polynomial is near ln 2, and is not ln 2")]
+pub(crate) fn exp2_near<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    exp2_by(simd, x, [9.567_739e-3, 5.591_75e-2, 2.402_481e-1, 6.931_219e-1, 9.999_992e-1])
+}
+
+/// 2 to the power of `x` by a polynomial, highest coefficient first.
+#[inline(always)]
+fn exp2_by<S: Simd, const N: usize>(simd: S, x: S::f32s, polynomial: [f32; N]) -> S::f32s {
     /// 1.5 · 2^23: adding it leaves the nearest integer in the low bits of the significand.
     const ROUND: f32 = 12_582_912.0;
     let shifted = x + ROUND;
     let fraction = x - (shifted - ROUND);
-    let mut value = S::f32s::splat(simd, 1.327_647_2e-3);
-    for coefficient in [9.675_541e-3, 5.550_713e-2, 2.402_212e-1, 6.931_47e-1, 1.000_000_1] {
-        value = value.mul_add(fraction, S::f32s::splat(simd, coefficient));
+    let mut value = S::f32s::splat(simd, polynomial[0]);
+    for coefficient in &polynomial[1..] {
+        value = value.mul_add(fraction, S::f32s::splat(simd, *coefficient));
     }
     let exponent = shifted.bitcast::<S::u32s>() << 23;
     (value.bitcast::<S::u32s>() + exponent).bitcast::<S::f32s>()
@@ -190,19 +175,6 @@ pub(crate) fn sums<S: Simd>(simd: S, vectors: [S::f32s; 16], out: &mut Line) {
 #[inline(always)]
 fn fold<S: Simd>(a: S::f32s, b: S::f32s) -> S::f32s {
     a.unzip_low(b) + a.unzip_high(b)
-}
-
-/// 1 / x for `x` in [1e-30, 1e30]; relative error 2e-7. Own steps (Newton's, from the bits' first guess), so that every
-/// machine computes the same, and cheaper than a division, which keeps one of two vector ports for long.
-#[inline(always)]
-pub(crate) fn reciprocal<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
-    /// Bits from which those of x leave a guess within 5 %.
-    const GUESS: u32 = 0x7ef1_27ea;
-    let mut value = (S::u32s::splat(simd, GUESS) - x.bitcast::<S::u32s>()).bitcast::<S::f32s>();
-    for _ in 0..3 {
-        value = value * (-x).mul_add(value, S::f32s::splat(simd, 2.0));
-    }
-    value
 }
 
 /// Columns of the pixel centres of every block of a tile, relative to the tile's corner.

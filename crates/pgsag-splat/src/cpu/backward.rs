@@ -4,20 +4,18 @@
 //! d = Σ_k ĝ_k c_k; and what lies behind a Gaussian acts through another, the rest of Σ_j w_j d_j. So the walk needs
 //! no channel-wise "behind", no division to recover transmittance, and the same order as the forward pass.
 //! Gaussians are the outer loop: the sums of one Gaussian over the tile stay in registers, are folded by one tree and
-//! stored as one record of the pair, where the Gaussian's other pairs are too. No two tiles share a pair.
+//! stored as one record of the pair.
 //!
 //! ```text
 //! ĝc_k = w ĝ_k,   ĝα = T d − rest / (1 − α),   v = α ĝα   (0 where alpha is held at its maximum)
 //! ```
-
-use std::sync::atomic::Ordering::Relaxed;
 
 use fearless_simd::{Simd, prelude::*};
 
 use super::{
     bins::place::{FEATURES, X, XX, XY, Y, YY},
     forward::{ALPHA_MAX, Tile, drawn_light, exponent_at},
-    lanes::{BLOCKS, CENTER_X, CENTER_Y, LANES, Line, SharedLine, exp2, reciprocal, sums},
+    lanes::{BLOCKS, CENTER_X, CENTER_Y, LANES, Line, exp2, exp2_near, sums},
 };
 use crate::equations::algebra::each;
 use crate::equations::blend::{LOAD_CENTER, LOAD_STEEPNESS};
@@ -69,7 +67,7 @@ struct State {
     rest: [Line; BLOCKS],
 }
 
-/// Writes the sums of every pair that covers a pixel to `out` (of all tiles, by number of pair); leaves the others alone.
+/// Writes the sums of every pair that covers a pixel to `out` (of the tile, by place); leaves the others alone.
 /// `F` features from `FIRST` on, `P` = F + 2 planes. `LOAD` adds the surrogate of Eq. 9 to ĝα, and then `plain` (of the tile, by place, else
 /// empty) receives Σ v dx and Σ v dy without it, for the density statistics.
 #[inline(always)]
@@ -84,7 +82,7 @@ pub(crate) fn unblend<
     simd: S,
     tile: &Tile<'_>,
     upstream: &Upstream<'_>,
-    out: &[SharedLine],
+    out: &mut [Line],
     plain: &mut [[f32; 2]],
 ) {
     let mut state = State { light: drawn_light(tile.drawn), rest: each(|block| upstream.planes[block * P]) };
@@ -119,9 +117,7 @@ pub(crate) fn unblend<
                 );
             }
         }
-        let mut line = Line::ZERO;
-        sums(simd, totals, &mut line);
-        out[(tile.listed[pair].load(Relaxed) >> 32) as usize].set(&line);
+        sums(simd, totals, &mut out[pair]);
         if LOAD && STATISTICS {
             plain[pair] = each(|k| plain_totals[k].reduce_sum());
         }
@@ -155,12 +151,12 @@ fn walk<S: Simd, const FIRST: usize, const F: usize, const STATISTICS: bool, con
 
     let exponent = exponent_at(simd, r, dx, dy);
     let reaches = exponent.simd_ge(splat(tile.cuts.alpha_log2));
-    let free = exp2(simd, exponent);
+    let free = exp2_near(simd, exponent);
     let alpha = reaches.select(free.min(ALPHA_MAX), splat(0.0));
     let weight = alpha * before;
     let after = before - weight;
     state.light[at.block].store(simd, at.lane, after);
-    let inverse = reciprocal(simd, splat(1.0) - alpha);
+    let passed = splat(1.0) - alpha;
     let covered = reaches & after.simd_ge(splat(tile.cuts.stop));
     let weight = covered.select(weight, splat(0.0));
 
@@ -170,9 +166,10 @@ fn walk<S: Simd, const FIRST: usize, const F: usize, const STATISTICS: bool, con
         along = gradient.mul_add(splat(r[FEATURES + FIRST + feature]), along);
         totals[sum::FEATURES + FIRST + feature] = weight.mul_add(gradient, totals[sum::FEATURES + FIRST + feature]);
     }
-    let rest = state.rest[at.block].load(simd, at.lane) - weight * along;
+    let rest = (-weight).mul_add(along, state.rest[at.block].load(simd, at.lane));
     state.rest[at.block].store(simd, at.lane, rest);
-    let mut d_alpha = before * along - rest * inverse;
+    // One division is cheaper than Newton's steps: its unit works beside those that multiply.
+    let mut d_alpha = before.mul_add(along, -(rest / passed));
     let moves = covered & free.simd_lt(splat(ALPHA_MAX));
     let alpha = moves.select(alpha, splat(0.0));
     let mut v = alpha * d_alpha;

@@ -4,7 +4,7 @@
 //! then depths are sorted once per Gaussian and a stable counting sort hands the Gaussians out to their tiles, so the
 //! (Gaussian, tile) pairs are never sorted.
 
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use rayon::prelude::*;
 
@@ -68,8 +68,8 @@ pub(crate) struct Bins {
     tiles: Vec<u32>,
     /// `[tiles + 1]` where the list of each tile begins.
     pub(crate) starts: Vec<u32>,
-    /// `[pairs]` Gaussian and pair at each place: [`Bins::listed`].
-    listed: Vec<AtomicU64>,
+    /// `[pairs]` Gaussian at each place.
+    listed: Vec<AtomicU32>,
     /// `[pairs]` place of each pair.
     pub(crate) places: Vec<AtomicU32>,
     order: Vec<u32>,
@@ -104,7 +104,7 @@ impl Bins {
     /// Builds the lists of `tile_count` tiles.
     pub(crate) fn fill(&mut self, tile_count: usize) {
         self.sorter.order(&self.entries, |entry| entry.depth, &mut self.order);
-        self.listed.resize_with(self.tiles.len(), AtomicU64::default);
+        self.listed.resize_with(self.tiles.len(), AtomicU32::default);
         self.places.resize_with(self.tiles.len(), AtomicU32::default);
         let chunk = self.order.len().div_ceil(rayon::current_num_threads()).max(4096);
         let chunks = self.order.len().div_ceil(chunk).max(1);
@@ -129,8 +129,7 @@ impl Bins {
                     let entry = &entries[at as usize];
                     for pair in pairs(entry) {
                         let cursor = &mut cursors[tiles[pair] as usize];
-                        let listed = (pair as u64) << 32 | u64::from(entry.gaussian);
-                        self.listed[*cursor as usize].store(listed, Relaxed);
+                        self.listed[*cursor as usize].store(entry.gaussian, Relaxed);
                         self.places[pair].store(*cursor, Relaxed);
                         *cursor += 1;
                     }
@@ -145,8 +144,8 @@ impl Bins {
         places.iter().any(|place| of_pair[place.load(Relaxed) as usize] != 0)
     }
 
-    /// Gaussian (low half) and pair (high half) at some places.
-    pub(crate) fn listed(&self, places: std::ops::Range<usize>) -> &[AtomicU64] {
+    /// Gaussians at some places.
+    pub(crate) fn listed(&self, places: std::ops::Range<usize>) -> &[AtomicU32] {
         &self.listed[places]
     }
 

@@ -5,7 +5,7 @@
 //! the transmittance stop. What was blended where is kept as one bit per (pair, block), so that the backward pass
 //! visits exactly the same places and culls nothing twice.
 
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use fearless_simd::{Simd, prelude::*};
 
@@ -14,7 +14,7 @@ use super::{
         CULL_MARGIN,
         place::{FEATURES, PEAK, SLOPE_X, SLOPE_Y, X, XX, XY, Y, YY},
     },
-    lanes::{BLOCK, BLOCKS, CENTER_X, CENTER_Y, LANES, Line, exp2},
+    lanes::{BLOCK, BLOCKS, CENTER_X, CENTER_Y, LANES, Line, exp2_near},
     layout::block_corner,
 };
 use crate::equations::algebra::each;
@@ -39,7 +39,7 @@ pub(crate) struct Tile<'a> {
     /// By Gaussian.
     pub(crate) records: &'a [Line],
     /// The tile's list, front to back: [`super::bins::Bins::listed`].
-    pub(crate) listed: &'a [AtomicU64],
+    pub(crate) listed: &'a [AtomicU32],
     /// Pixels that are drawn.
     pub(crate) drawn: &'a [u16; BLOCKS],
     /// Top-left pixel.
@@ -53,9 +53,9 @@ impl Tile<'_> {
     /// rounding in both passes, so that both decide the same. Records lie anywhere: they are copied first, all latencies
     /// overlapping, and looked at then.
     #[inline(always)]
-    pub(crate) fn fetch(&self, listed: &[AtomicU64], records: &mut [Line]) {
+    pub(crate) fn fetch(&self, listed: &[AtomicU32], records: &mut [Line]) {
         for (to, listed) in records.iter_mut().zip(listed) {
-            *to = self.records[listed.load(Relaxed) as u32 as usize];
+            *to = self.records[listed.load(Relaxed) as usize];
         }
         for record in records.iter_mut().take(listed.len()) {
             record.0[X] -= self.corner.0;
@@ -86,7 +86,7 @@ const CULLED: [usize; 8] = [X, Y, XX, XY, YY, PEAK, SLOPE_Y, SLOPE_X];
 
 impl Batch {
     #[inline(always)]
-    fn fill(&mut self, tile: &Tile<'_>, listed: &[AtomicU64]) {
+    fn fill(&mut self, tile: &Tile<'_>, listed: &[AtomicU32]) {
         tile.fetch(listed, &mut self.records);
         for (i, record) in self.records.iter().enumerate().take(listed.len()) {
             for (field, &at) in self.fields.iter_mut().zip(&CULLED) {
@@ -212,7 +212,7 @@ fn blend_part<S: Simd, const FIRST: usize, const F: usize, const COUNTS: bool>(
         let r = &at.batch.records[i].0;
         let exponent = exponent_at(simd, r, x - r[X], y - r[Y]);
         let reaches = exponent.simd_ge(cut);
-        let alpha = reaches.select(exp2(simd, exponent).min(ALPHA_MAX), zero);
+        let alpha = reaches.select(exp2_near(simd, exponent).min(ALPHA_MAX), zero);
         let weight = alpha * before;
         let after = before - weight;
         let passes = after.simd_ge(stop);

@@ -15,7 +15,7 @@ use super::{
 use crate::backend::ViewCamera;
 use crate::equations::{
     Number, activation,
-    algebra::{Mat3, Vec3, add, mat_vec, sub, transpose_vec},
+    algebra::{Mat3, Vec3, add, each, mat_vec, sub, transpose_vec},
     covariance, harmonics,
     plane::{distance_grad, normal, normal_axis, normal_grad},
     projection::{self, Lens},
@@ -51,21 +51,6 @@ pub(crate) struct Totals {
     visible: Line,
 }
 
-impl Totals {
-    /// Of the sums of each lane, 0 but for lanes with a bit in `visible`.
-    #[inline(always)]
-    pub(crate) fn of(rows: &[Line; LANES], visible: u16) -> Self {
-        let mut totals = Self { lines: [Line::ZERO; sum::ABSOLUTE_U], visible: Line::ZERO };
-        for (lane, row) in rows.iter().enumerate() {
-            for (line, value) in totals.lines.iter_mut().zip(row.0) {
-                line.0[lane] = value;
-            }
-            totals.visible.0[lane] = f32::from(visible >> lane & 1);
-        }
-        totals
-    }
-}
-
 /// Sums of the groups of one task that have any.
 #[derive(Debug, Default)]
 pub(crate) struct TaskSums {
@@ -74,11 +59,20 @@ pub(crate) struct TaskSums {
 }
 
 impl TaskSums {
-    /// Adds a group; groups come in ascending order.
-    pub(crate) fn push(&mut self, group: usize, sums: Totals) {
+    /// Adds a group, by what is summed; 0 but for lanes with a bit in `visible`. Groups come in ascending order.
+    #[inline(always)]
+    pub(crate) fn push(&mut self, group: usize, sums: &[Line; LANES], visible: u16) {
         self.groups.push(group as u8);
-        self.sums.push(sums);
+        let mut lines = [Line::ZERO; sum::ABSOLUTE_U];
+        lines.copy_from_slice(&sums[..sum::ABSOLUTE_U]);
+        self.sums.push(Totals { lines, visible: lanes_of(visible) });
     }
+}
+
+/// 1 for lanes with a bit.
+#[inline(always)]
+fn lanes_of(bits: u16) -> Line {
+    Line(each(|lane| f32::from(bits >> lane & 1)))
 }
 
 /// Sums of the renders of one step, by render, then by task of [`GROUPS`] groups. Buffers are kept between steps.

@@ -2,7 +2,7 @@
 //!
 //! The pairs of a Gaussian are added in their fixed order, so the result does not depend on threads.
 
-use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use fearless_simd::Level;
 use rayon::prelude::*;
@@ -11,18 +11,49 @@ use super::{
     backward::sum,
     bins::{Bins, Entry},
     cloud::CpuCloud,
-    gradient::{Return, TaskSums, Totals},
-    lanes::{LANES, Line, SharedLine, at_level},
+    gradient::{Return, TaskSums},
+    lanes::{LANES, Line, at_level},
     project::{Ellipses, GROUPS, Lanes},
     wide::{Carried, Wide},
 };
-use crate::equations::projection::{self, Lens};
+use crate::equations::{
+    Number,
+    number::Pixels,
+    projection::{self, Lens},
+};
+
+/// Sums of pairs that are fetched at a time.
+const FETCHED: usize = 512;
+
+/// The sums of the pairs of a task, in order. They lie anywhere: some are copied at a time, all latencies overlapping.
+struct Ahead<'a> {
+    places: &'a [AtomicU32],
+    fetched: [Line; FETCHED],
+    at: usize,
+}
+
+impl Ahead<'_> {
+    /// The next place, and its sums.
+    #[inline(always)]
+    fn next(&mut self, pairs: &[Line]) -> (usize, &Line) {
+        let at = self.at;
+        self.at += 1;
+        if at % FETCHED == 0 {
+            for (to, place) in self.fetched.iter_mut().zip(&self.places[at..]) {
+                *to = pairs[place.load(Relaxed) as usize];
+            }
+        }
+        (self.places[at].load(Relaxed) as usize, &self.fetched[at % FETCHED])
+    }
+}
 
 /// What the blending of one render left behind.
 #[derive(Clone, Copy)]
 pub(crate) struct Sums<'a> {
     /// Entries, and places of pairs.
     pub(crate) bins: &'a Bins,
+    /// By place: the sums of a pair.
+    pub(crate) pairs: &'a [Line],
     /// By place: blocks in which a pair covers a pixel; 0: it has no sums.
     pub(crate) blocks: &'a [u16],
     /// By place: Σ v dx, Σ v dy without the load, where they differ; else empty.
@@ -31,19 +62,12 @@ pub(crate) struct Sums<'a> {
     pub(crate) averaged_pixels: Option<f32>,
 }
 
-/// Adds up `pairs` (`[pairs]`) of one render and leaves their sums in the cloud, instead of those of earlier renders or, with
+/// Adds up the pairs of one render and leaves their sums in the cloud, instead of those of earlier renders or, with
 /// `accumulate`, beside them.
-pub(crate) fn reduce(
-    level: Level,
-    cloud: &mut CpuCloud,
-    sums: &Sums<'_>,
-    pairs: &mut [SharedLine],
-    back: Return,
-    accumulate: bool,
-) {
+pub(crate) fn reduce(level: Level, cloud: &mut CpuCloud, sums: &Sums<'_>, back: Return, accumulate: bool) {
     let planes = cloud.planes;
     let chunk = GROUPS * LANES;
-    let owned = by_task(&sums.bins.entries, pairs, chunk, cloud.touched.len().div_ceil(GROUPS));
+    let owned = by_task(&sums.bins.entries, chunk, cloud.touched.len().div_ceil(GROUPS));
     let statistics = &mut cloud.statistics;
     let parts = statistics
         .gradient
@@ -69,23 +93,13 @@ pub(crate) fn reduce(
         });
 }
 
-/// Entries of some Gaussians, and the sums of their pairs, both in order of Gaussians.
-type Owned<'a> = (&'a [Entry], &'a mut [SharedLine]);
-
-/// Cuts entries and pairs into those of `tasks` times `chunk` Gaussians.
-fn by_task<'a>(
-    mut entries: &'a [Entry],
-    mut pairs: &'a mut [SharedLine],
-    chunk: usize,
-    tasks: usize,
-) -> Vec<Owned<'a>> {
+/// Cuts entries into those of `tasks` times `chunk` Gaussians.
+fn by_task(mut entries: &[Entry], chunk: usize, tasks: usize) -> Vec<&[Entry]> {
     let mut owned = Vec::with_capacity(tasks);
     for task in 1..=tasks {
         let (own, rest) = entries.split_at(entries.partition_point(|entry| (entry.gaussian as usize) < task * chunk));
-        let count = own.iter().map(|entry| entry.count as usize).sum();
-        let (own_pairs, rest_pairs) = pairs.split_at_mut(count);
-        owned.push((own, own_pairs));
-        (entries, pairs) = (rest, rest_pairs);
+        owned.push(own);
+        entries = rest;
     }
     owned
 }
@@ -121,13 +135,16 @@ impl Task<'_> {
     fn run<S: Carried>(
         &mut self,
         simd: S,
-        (mut entries, mut pairs): Owned<'_>,
+        mut entries: &[Entry],
         values: &[Line],
         out: &mut TaskSums,
         touched: &mut [u16],
     ) {
         simd.carry();
         let lens = Lens::<Wide<S>>::new(&self.back.camera);
+        let places = entries.first().map_or(&[][..], |entry| &self.sums.bins.places[entry.first as usize..]);
+        let count: usize = entries.iter().map(|entry| entry.count as usize).sum();
+        let mut ahead = Ahead { places: &places[..count], fetched: [Line::ZERO; FETCHED], at: 0 };
         for (group, touched) in touched.iter_mut().enumerate() {
             if !self.accumulate {
                 *touched = 0;
@@ -137,42 +154,37 @@ impl Task<'_> {
                 entries.iter().take(LANES).take_while(|entry| (entry.gaussian as usize) < first + LANES).count();
             let (own, rest) = entries.split_at(split);
             entries = rest;
-            let Some(sums) = self.group_rows(first, own, &mut pairs) else { continue };
+            let Some(sums) = self.group_rows(first, own, &mut ahead) else { continue };
             *touched |= sums.visible;
-            let totals = Totals::of(&sums.rows, sums.visible);
+            let totals = transposed(&sums.rows);
             if let Some(pixels) = self.sums.averaged_pixels {
                 let values = &values[group * self.planes..][..self.planes];
-                let mut measures = [Line::ZERO; 4];
                 for at in (0..LANES).step_by(Wide::<S>::LEN) {
-                    measure(&lens, Lanes { values, at }, &mut measures);
+                    let ellipses = Ellipses::<Wide<S>>::new(&lens, Lanes { values, at });
+                    self.count(group * LANES, at, &totals, &sums.plain, &ellipses, pixels);
                 }
-                self.count(group * LANES, &sums, &measures, pixels);
             }
-            out.push(group, totals);
+            out.push(group, &totals, sums.visible);
         }
     }
 
-    /// Adds up the pairs of a group's Gaussians, which are the first of `pairs`, and takes them off; `None` where none
-    /// covers a pixel.
+    /// Adds up the pairs of a group's Gaussians; `None` where none covers a pixel.
     #[inline(always)]
-    fn group_rows(&self, first: usize, entries: &[Entry], pairs: &mut &mut [SharedLine]) -> Option<GroupRows> {
+    fn group_rows(&self, first: usize, entries: &[Entry], ahead: &mut Ahead<'_>) -> Option<GroupRows> {
         if entries.is_empty() {
             return None;
         }
         let mut group = GroupRows { rows: [Line::ZERO; LANES], plain: [Line::ZERO; 2], visible: 0 };
         for entry in entries {
             let lane = (entry.gaussian as usize - first) % LANES;
-            let (own, rest) = std::mem::take(pairs).split_at_mut(entry.count as usize);
-            *pairs = rest;
             let mut total = Line::ZERO;
-            let places = &self.sums.bins.places[entry.first as usize..][..entry.count as usize];
-            for (pair, place) in own.iter_mut().zip(places) {
-                let place = place.load(Relaxed) as usize;
+            for _ in 0..entry.count {
+                let (place, pair) = ahead.next(self.sums.pairs);
                 if self.sums.blocks[place] == 0 {
                     continue;
                 }
                 group.visible |= 1 << lane;
-                for (to, from) in total.0.iter_mut().zip(pair.get().0) {
+                for (to, from) in total.0.iter_mut().zip(pair.0) {
                     *to += from;
                 }
                 if !self.sums.plain.is_empty() {
@@ -186,36 +198,58 @@ impl Task<'_> {
         (group.visible != 0).then_some(group)
     }
 
-    /// Adds one group to the statistics. `measures`: A, B, C of the conic, radius.
-    fn count(&mut self, first: usize, sums: &GroupRows, measures: &[Line; 4], pixels: f32) {
-        for lane in (0..LANES).filter(|lane| sums.visible >> lane & 1 != 0) {
-            let row = &sums.rows[lane].0;
-            let covered = row[sum::COVERED];
-            if covered == 0.0 {
-                continue;
-            }
-            let i = first + lane;
-            let [a, b, c, radius] = measures.map(|line| line.0[lane]);
-            let [vx, vy] = match self.sums.plain {
-                [] => [row[sum::VX], row[sum::VY]],
-                _ => sums.plain.map(|line| line.0[lane]),
-            };
-            let (du, dv) = (a * vx + b * vy, b * vx + c * vy);
-            let [au, av] = [sum::ABSOLUTE_U, sum::ABSOLUTE_V].map(|k| row[k] * std::f32::consts::LN_2);
-            self.statistics.gradient[i] += (du * du + dv * dv).sqrt() * pixels / covered;
-            self.statistics.absolute[i] += (au * au + av * av).sqrt() * pixels / covered;
-            self.statistics.visible[i] += 1;
-            self.statistics.radius[i] = self.statistics.radius[i].max(radius);
+    /// Adds the lanes of one group from `at` on to the statistics.
+    #[inline(always)]
+    fn count<S: Carried>(
+        &mut self,
+        first: usize,
+        at: usize,
+        totals: &[Line; LANES],
+        plain: &[Line; 2],
+        ellipses: &Ellipses<Wide<S>>,
+        pixels: f32,
+    ) {
+        let total = |k: usize| Wide::<S>::load(&totals[k], at);
+        let zero = Wide::<S>::zero();
+        let covered = total(sum::COVERED);
+        let counts = zero.less(covered);
+        let [a, b, c] = ellipses.conic;
+        let [vx, vy] = match self.sums.plain {
+            [] => [total(sum::VX), total(sum::VY)],
+            _ => [Wide::load(&plain[0], at), Wide::load(&plain[1], at)],
+        };
+        let length = |x: Wide<S>, y: Wide<S>| (x * x + y * y).sqrt();
+        let pixels = Wide::from_f64(f64::from(pixels));
+        let ln_2 = Wide::from_f64(std::f64::consts::LN_2);
+        // The last group may be short.
+        let within = |lane: usize| (first + lane).min(self.statistics.visible.len());
+        let lanes = within(at)..within(at + Wide::<S>::LEN);
+        let add = |to: &mut [f32], length: Wide<S>| {
+            let sum = <Wide<S> as Pixels<f32>>::load(to) + length * pixels / covered;
+            let sum = Wide::select(counts, sum, Pixels::load(to));
+            Pixels::store(sum, to);
+        };
+        let statistics = &mut self.statistics;
+        add(&mut statistics.gradient[lanes.clone()], length(a * vx + b * vy, b * vx + c * vy));
+        let [au, av] = [sum::ABSOLUTE_U, sum::ABSOLUTE_V].map(|k| total(k) * ln_2);
+        add(&mut statistics.absolute[lanes.clone()], length(au, av));
+        let radius = Wide::select(counts, projection::radius(ellipses.screen_covariance), zero);
+        let largest = &mut statistics.radius[lanes.clone()];
+        Pixels::store(radius.max(Pixels::load(largest)), largest);
+        for (count, covered) in statistics.visible[lanes].iter_mut().zip(&totals[sum::COVERED].0[at..]) {
+            *count += u32::from(*covered > 0.0);
         }
     }
 }
 
-/// A, B, C of the conic and the radius.
+/// Sums by what is summed, of sums by lane.
 #[inline(always)]
-fn measure<S: Carried>(lens: &Lens<Wide<S>>, lanes: Lanes<'_>, measures: &mut [Line; 4]) {
-    let ellipses = Ellipses::<Wide<S>>::new(lens, lanes);
-    let [a, b, c] = ellipses.conic;
-    for (line, value) in measures.iter_mut().zip([a, b, c, projection::radius(ellipses.screen_covariance)]) {
-        value.store(line, lanes.at);
+fn transposed(rows: &[Line; LANES]) -> [Line; LANES] {
+    let mut lines = [Line::ZERO; LANES];
+    for (lane, row) in rows.iter().enumerate() {
+        for (line, value) in lines.iter_mut().zip(row.0) {
+            line.0[lane] = value;
+        }
     }
+    lines
 }

@@ -12,7 +12,7 @@ use super::{
     backward::{Upstream, unblend},
     bins::Bins,
     forward::{Blend, Cuts, Tile, blend},
-    lanes::{BLOCKS, Line, SharedLine, at_level},
+    lanes::{BLOCKS, Line, at_level},
     layout::Layout,
     maps::{Part, PartGradients, Rows, part_read, slots_of_parts},
     project::Found,
@@ -72,10 +72,11 @@ impl Drop for CpuRender {
     }
 }
 
-/// What the backward pass reads, and `plain` which it writes, of the tiles `slots` of one part.
+/// What the backward pass reads, and `sums` and `plain` which it writes, of the tiles `slots` of one part.
 struct UpstreamPart<'a> {
     taken: &'a PartGradients,
     slots: Range<usize>,
+    sums: &'a mut [Line],
     plain: &'a mut [[f32; 2]],
 }
 
@@ -186,7 +187,7 @@ impl CpuRender {
     pub(crate) fn unblend(
         &self,
         level: Level,
-        sums: &mut Vec<SharedLine>,
+        sums: &mut Vec<Line>,
         plain: &mut Vec<[f32; 2]>,
         rooms: &Spare<PartGradients>,
     ) {
@@ -194,38 +195,37 @@ impl CpuRender {
         let load = self.differentiated && !self.buffers.gradients.load.is_empty();
         let statistics = self.options.statistics;
         let pairs = self.buffers.blocks.len();
-        sums.resize_with(pairs, SharedLine::default);
+        sums.resize(pairs, Line::ZERO);
         plain.resize(if load { pairs } else { 0 }, [0.0; 2]);
         if !self.has_gradients() {
-            sums.fill_with(SharedLine::default);
+            sums.fill(Line::ZERO);
             return;
         }
         let features = self.features();
-        let mut rest = &mut plain[..];
+        let (mut sums, mut plain) = (&mut sums[..], &mut plain[..]);
         let mut parts = Vec::new();
         for slots in slots_of_parts(&self.layout, part_read(&self.layout)) {
             if slots.is_empty() {
                 continue;
             }
             let pairs = (bins.starts[slots.end] - bins.starts[slots.start]) as usize;
-            let (own, others) = std::mem::take(&mut rest).split_at_mut(if load { pairs } else { 0 });
-            rest = others;
-            parts.push((slots, own));
+            let (own, own_plain) = (sums.split_at_mut(pairs), plain.split_at_mut(if load { pairs } else { 0 }));
+            (sums, plain) = (own.1, own_plain.1);
+            parts.push((slots, own.0, own_plain.0));
         }
-        let sums = &sums[..];
-        parts.into_par_iter().with_max_len(1).for_each(|(slots, plain)| {
+        parts.into_par_iter().with_max_len(1).for_each(|(slots, sums, plain)| {
             rooms.lend(|taken| {
                 at_level!(level, simd => {
                     taken.take(self, &slots);
-                    let part = UpstreamPart { taken, slots, plain };
+                    let part = UpstreamPart { taken, slots, sums, plain };
                     match (features.start, features.end, statistics, load) {
-                        (0, COLORS, false, false) => self.unblend_part::<_, 0, 3, 5, false, false>(simd, part, sums),
-                        (0, COLORS, true, false) => self.unblend_part::<_, 0, 3, 5, true, false>(simd, part, sums),
-                        (0, COLORS, _, true) => self.unblend_part::<_, 0, 3, 5, true, true>(simd, part, sums),
-                        (COLORS, ..) => self.unblend_part::<_, COLORS, 4, 6, false, false>(simd, part, sums),
-                        (_, _, false, false) => self.unblend_part::<_, 0, 7, 9, false, false>(simd, part, sums),
-                        (_, _, true, false) => self.unblend_part::<_, 0, 7, 9, true, false>(simd, part, sums),
-                        (_, _, _, true) => self.unblend_part::<_, 0, 7, 9, true, true>(simd, part, sums),
+                        (0, COLORS, false, false) => self.unblend_part::<_, 0, 3, 5, false, false>(simd, part),
+                        (0, COLORS, true, false) => self.unblend_part::<_, 0, 3, 5, true, false>(simd, part),
+                        (0, COLORS, _, true) => self.unblend_part::<_, 0, 3, 5, true, true>(simd, part),
+                        (COLORS, ..) => self.unblend_part::<_, COLORS, 4, 6, false, false>(simd, part),
+                        (_, _, false, false) => self.unblend_part::<_, 0, 7, 9, false, false>(simd, part),
+                        (_, _, true, false) => self.unblend_part::<_, 0, 7, 9, true, false>(simd, part),
+                        (_, _, _, true) => self.unblend_part::<_, 0, 7, 9, true, true>(simd, part),
                     }
                 })
             });
@@ -245,19 +245,19 @@ impl CpuRender {
         &self,
         simd: S,
         part: UpstreamPart<'_>,
-        sums: &[SharedLine],
     ) {
-        let UpstreamPart { taken, slots, mut plain } = part;
+        let UpstreamPart { taken, slots, mut sums, mut plain } = part;
         for (k, slot) in slots.enumerate() {
             let list = self.buffers.bins.list(slot);
-            let (own, rest) = plain.split_at_mut(if LOAD { list.len() } else { 0 });
-            plain = rest;
+            let (own, own_plain) =
+                (sums.split_at_mut(list.len()), plain.split_at_mut(if LOAD { list.len() } else { 0 }));
+            (sums, plain) = (own.1, own_plain.1);
             let upstream = Upstream {
                 planes: &taken.planes[k * BLOCKS * P..][..BLOCKS * P],
                 load: if LOAD { taken.load[k * BLOCKS..].first_chunk() } else { None },
                 blocks: &self.buffers.blocks[list],
             };
-            unblend::<S, FIRST, F, P, STATISTICS, LOAD>(simd, &self.tile(slot), &upstream, sums, own);
+            unblend::<S, FIRST, F, P, STATISTICS, LOAD>(simd, &self.tile(slot), &upstream, own.0, own_plain.0);
         }
     }
 

@@ -177,8 +177,10 @@ impl<T: Scalar> Band<'_, T> {
             let d_difference = scale(d, weight * d_scale);
             let d_cross = normalized_grad(stencil.normal, stencil.length, scale(d_difference, opacity));
             let d_sides = [cross(stencil.upward, d_cross), cross(d_cross, stencil.across)];
-            for (k, value) in d_sides.into_iter().flatten().enumerate() {
-                value.store(&mut sides[k * stride + MARGIN + x..][..P::LEN]);
+            for side in 0..2 {
+                for k in 0..3 {
+                    d_sides[side][k].store(&mut sides[(3 * side + k) * stride + MARGIN + x..][..P::LEN]);
+                }
             }
             if own {
                 let at = index - self.first * width;

@@ -405,8 +405,7 @@ fn blur_along<T: Scalar, P: Pixels<T>>(kernel: &[P; HALF + 1], row: &[T], out: &
         let row = &row[LANES - HALF + at..][..P::LEN + 2 * HALF];
         let mut sum = kernel[0] * P::load(&row[HALF..]);
         for tap in 1..=HALF {
-            sum = kernel[tap].times_plus(P::load(&row[HALF - tap..]), sum);
-            sum = kernel[tap].times_plus(P::load(&row[HALF + tap..]), sum);
+            sum = kernel[tap].times_plus(P::load(&row[HALF - tap..]) + P::load(&row[HALF + tap..]), sum);
         }
         sum.store(&mut out[at..]);
     }
@@ -429,8 +428,8 @@ fn blur_across<T: Scalar, P: Pixels<T>>(kernel: &[P; HALF + 1], rows: &[&[T]; SE
     for j in 0..STEP {
         sums[j] = kernel[0] * values[j + HALF];
         for tap in 1..=HALF {
-            sums[j] = kernel[tap].times_plus(values[j + HALF - tap], sums[j]);
-            sums[j] = kernel[tap].times_plus(values[j + HALF + tap], sums[j]);
+            // Where sums have units of their own, this is twice as fast as two products.
+            sums[j] = kernel[tap].times_plus(values[j + HALF - tap] + values[j + HALF + tap], sums[j]);
         }
     }
     sums
