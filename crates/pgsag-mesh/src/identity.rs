@@ -1,15 +1,18 @@
 //! Which building a face belongs to where houses touch: pieces of plan view, parted where their roofs stand at different
-//! heights. Row houses and perimeter blocks have no gap (method 8.7).
+//! heights or have different colours. Row houses and perimeter blocks have no gap (method 8.7).
 //!
-//! The highest surface in every cell of plan view is a relief. Neighbouring cells are of one roof where the slopes to
-//! both sides meet between them, as they do at ridges; roofs grow from such cells. The strips along steps go cell by cell
-//! to the roof of their height, and small or enclosed roofs (chimneys, dormers, lift houses) to the one that they share
-//! most border with.
+//! The highest surface in every cell of plan view is a relief. What is plane and of one hue grows to regions (`regions`),
+//! and neighbours are of one roof where their slopes meet, as they do at ridges, and their hues are the same. Small or
+//! enclosed roofs (chimneys, dormers, lift houses) go to the one that they share most border with.
+
+mod regions;
 
 use std::collections::{BTreeMap, HashMap};
 
 use glam::DVec3;
 use pgsag_scene::Mesh;
+
+use regions::BESIDE;
 
 use crate::components::Sets;
 use crate::error::MeshError;
@@ -21,6 +24,8 @@ pub struct RoofRules {
     pub cell: f64,
     /// Least height difference where roofs meet; infinite: only gaps part buildings.
     pub step: f64,
+    /// Distance from a plane that is none, within three cells.
+    pub flat: f64,
     /// Least difference of hue where roofs meet, |Δ ln(red / green)| + |Δ ln(blue / green)|; infinite: colours part nothing.
     pub hue_step: f64,
     /// Roofs of less area in plan are parts of others.
@@ -39,7 +44,7 @@ type Hue = [f64; 2];
 struct Relief {
     keys: Vec<[i64; 2]>,
     tops: Vec<f64>,
-    /// `[cells]` Of the surface about the highest point; empty where the surface has no colours.
+    /// `[cells]` Of the surface about the highest point; 0 where colours part nothing.
     hues: Vec<Hue>,
     index: HashMap<[i64; 2], u32>,
 }
@@ -61,11 +66,14 @@ pub fn roof_pieces(
     let (east, north) = up.any_orthonormal_pair();
     let key = |p: DVec3| [(p.dot(east) / rules.cell).floor() as i64, (p.dot(north) / rules.cell).floor() as i64];
     let mut relief = Relief::of(mesh, &key, up, rules.cell, &is_building);
-    if rules.hue_step.is_finite() && !mesh.colors.is_empty() {
-        relief.hues = relief.hues_of(mesh, &key, up, rules.cell);
-    }
     if rules.step.is_finite() {
-        relief.tops = relief.smooth();
+        relief.tops = relief.smooth(|cell| relief.tops[cell]);
+        let hues = match rules.hue_step.is_finite() && !mesh.colors.is_empty() {
+            true => relief.hues_of(mesh, &key, up, rules.cell),
+            false => vec![[0.0; 2]; relief.keys.len()],
+        };
+        let [red, blue] = [0, 1].map(|channel| relief.smooth(|cell| hues[cell][channel]));
+        relief.hues = red.into_iter().zip(blue).map(|(red, blue)| [red, blue]).collect();
     }
     let number = relief.pieces(rules);
     let piece = |face: usize| {
@@ -182,74 +190,57 @@ impl Relief {
         sums.into_iter().map(hue).collect()
     }
 
-    /// How far the hues to both sides of a border differ; the cells at the border, which mix both, are left out where there
-    /// are others beyond.
-    fn hue_break_at(&self, at: [i64; 2], step: [i64; 2]) -> f64 {
-        let hue = |cells: [i64; 2], near: i64| {
-            let beside = |k: i64| self.index.get(&[at[0] + k * step[0], at[1] + k * step[1]]);
-            let far: Vec<Hue> = cells.iter().filter_map(|k| beside(*k)).map(|cell| self.hues[*cell as usize]).collect();
-            let near = || beside(near).map(|cell| self.hues[*cell as usize]);
-            let mean = |c: usize| far.iter().map(|hue| hue[c]).sum::<f64>() / far.len() as f64;
-            if far.is_empty() { near() } else { Some([mean(0), mean(1)]) }
-        };
-        match (hue([-2, -1], 0), hue([2, 3], 1)) {
-            (Some(before), Some(after)) => (before[0] - after[0]).abs() + (before[1] - after[1]).abs(),
-            _ => 0.0,
-        }
+    /// The cell `k` steps from a place.
+    fn beside(&self, at: [i64; 2], step: [i64; 2], k: i64) -> Option<usize> {
+        self.index.get(&[at[0] + k * step[0], at[1] + k * step[1]]).map(|cell| *cell as usize)
     }
 
-    fn top(&self, key: [i64; 2]) -> Option<f64> {
-        self.index.get(&key).map(|cell| self.tops[*cell as usize])
-    }
-
-    /// The middle height of every cell and the eight around it: what is narrower than half of that goes, steps stay.
-    fn smooth(&self) -> Vec<f64> {
+    /// The middle value of every cell and the eight around it: what is narrower than half of that goes, steps stay.
+    fn smooth(&self, value: impl Fn(usize) -> f64) -> Vec<f64> {
         let mut around = Vec::with_capacity(9);
         let middle = |at: &[i64; 2]| {
             around.clear();
-            around.extend((0..9).filter_map(|k| self.top([at[0] + k / 3 - 1, at[1] + k % 3 - 1])));
-            around.sort_by(f64::total_cmp);
-            0.5 * (around[(around.len() - 1) / 2] + around[around.len() / 2])
+            around.extend((0..9).filter_map(|k| self.beside(*at, [k / 3 - 1, k % 3 - 1], 1).map(&value)));
+            regions::median(&mut around)
         };
         self.keys.iter().map(middle).collect()
     }
 
-    /// The step of the relief between a cell and the next along `step`; `None` where there is none. The volume rounds a
-    /// step over two cells, so the cells about it are left out where there are others beyond.
-    fn break_at(&self, at: [i64; 2], step: [i64; 2]) -> Option<f64> {
-        let top = |k: i64| self.top([at[0] + k * step[0], at[1] + k * step[1]]);
-        let (here, there) = (top(0)?, top(1)?);
-        let near = crease([top(-1), Some(here), Some(there), top(2)], 1.0);
-        crease([top(-2), top(-1), top(2), top(3)], 3.0).or(near)
+    /// Ring by ring, cells without a number take that of the neighbour from which they are least `apart`.
+    fn grow(&self, number: &mut [Option<u32>], apart: impl Fn(usize, usize) -> f64) {
+        let mut open: Vec<usize> = (0..number.len()).filter(|cell| number[*cell].is_none()).collect();
+        loop {
+            let like = |cell: usize| {
+                let beside = BESIDE.iter().filter_map(|step| self.beside(self.keys[cell], *step, 1));
+                let known = beside.filter(|other| number[*other].is_some());
+                known.min_by(|a, b| apart(*a, cell).total_cmp(&apart(*b, cell)))
+            };
+            let taken: Vec<(usize, Option<u32>)> =
+                open.iter().filter_map(|cell| like(*cell).map(|other| (*cell, number[other]))).collect();
+            if taken.is_empty() {
+                return;
+            }
+            taken.into_iter().for_each(|(cell, found)| number[cell] = found);
+            open.retain(|cell| number[*cell].is_none());
+        }
     }
 
     fn pieces(&self, rules: &RoofRules) -> Vec<u32> {
         let mut sets = Sets::new(self.keys.len());
-        for (cell, at) in self.keys.iter().enumerate() {
-            for (step, aside) in [([1, 0], [0, 1]), ([0, 1], [1, 0])] {
-                let Some(other) = self.index.get(&[at[0] + step[0], at[1] + step[1]]) else { continue };
-                let is_smooth = |k: i64| {
-                    let beside = [at[0] + k * aside[0], at[1] + k * aside[1]];
-                    let is_level = self.break_at(beside, step).is_some_and(|height| height < rules.step);
-                    is_level && (self.hues.is_empty() || self.hue_break_at(beside, step) < rules.hue_step)
-                };
-                // One cell that fits is no proof: a worn edge would join two houses.
-                let is_joined = is_smooth(0) && (is_smooth(-1) || is_smooth(1));
-                if is_joined || rules.step.is_infinite() {
-                    sets.join(cell as u32, *other);
-                }
+        if rules.step.is_finite() {
+            for (cell, region) in regions::regions(self, rules).into_iter().enumerate() {
+                sets.join(cell as u32, region);
             }
-            if rules.step.is_infinite() {
-                for step in [[1, 1], [1, -1]] {
-                    if let Some(other) = self.index.get(&[at[0] + step[0], at[1] + step[1]]) {
-                        sets.join(cell as u32, *other);
+            sets = self.without_strips(sets, rules);
+            self.absorb(&mut sets, rules);
+        } else {
+            for (cell, at) in self.keys.iter().enumerate() {
+                for step in [[1, 0], [0, 1], [1, 1], [1, -1]] {
+                    if let Some(other) = self.beside(*at, step, 1) {
+                        sets.join(cell as u32, other as u32);
                     }
                 }
             }
-        }
-        if rules.step.is_finite() {
-            sets = self.without_strips(sets, rules);
-            self.absorb(&mut sets, rules);
         }
         let mut number = vec![0; self.keys.len()];
         let mut next = 0;
@@ -268,7 +259,6 @@ impl Relief {
     /// Roofs too small, or too narrow to hold a square of three cells, dissolve: ring by ring their cells go to the
     /// neighbour of the most similar height. What touches no other roof stays.
     fn without_strips(&self, mut sets: Sets, rules: &RoofRules) -> Sets {
-        const NONE: u32 = u32::MAX;
         let own: Vec<u32> = (0..self.keys.len() as u32).map(|cell| sets.find(cell)).collect();
         let mut cells = vec![0u32; own.len()];
         let mut is_wide = vec![false; own.len()];
@@ -280,27 +270,11 @@ impl Relief {
         let is_roof = |root: u32| {
             is_wide[root as usize] && f64::from(cells[root as usize]) * rules.cell * rules.cell >= rules.min_area
         };
-        let mut roof: Vec<u32> = own.iter().map(|root| if is_roof(*root) { *root } else { NONE }).collect();
-        let mut open: Vec<usize> = (0..roof.len()).filter(|cell| roof[*cell] == NONE).collect();
-        loop {
-            let like = |cell: usize| {
-                let at = self.keys[cell];
-                let beside = [[1, 0], [-1, 0], [0, 1], [0, -1]].map(|step| [at[0] + step[0], at[1] + step[1]]);
-                let known = beside.iter().filter_map(|key| self.index.get(key)).map(|other| *other as usize);
-                let off = |other: &usize| (self.tops[*other] - self.tops[cell]).abs();
-                known.filter(|other| roof[*other] != NONE).min_by(|a, b| off(a).total_cmp(&off(b)))
-            };
-            let taken: Vec<(usize, u32)> =
-                open.iter().filter_map(|cell| like(*cell).map(|other| (*cell, roof[other]))).collect();
-            if taken.is_empty() {
-                break;
-            }
-            taken.into_iter().for_each(|(cell, number)| roof[cell] = number);
-            open.retain(|cell| roof[*cell] == NONE);
-        }
+        let mut roof: Vec<Option<u32>> = own.iter().map(|root| is_roof(*root).then_some(*root)).collect();
+        self.grow(&mut roof, |a, b| (self.tops[a] - self.tops[b]).abs());
         let mut again = Sets::new(own.len());
         for (cell, number) in roof.into_iter().enumerate() {
-            again.join(cell as u32, if number == NONE { own[cell] } else { number });
+            again.join(cell as u32, number.unwrap_or(own[cell]));
         }
         again
     }
@@ -350,19 +324,6 @@ impl Relief {
     }
 }
 
-/// The step between two slopes, given by two heights to either side of a gap of so many cells: none where they meet in
-/// the gap, else the lesser of what is left at its two ends. With one slope alone both sides have it; `None` without the
-/// two heights about the gap.
-fn crease([far, here, there, beyond]: [Option<f64>; 4], gap: f64) -> Option<f64> {
-    let (here, there) = (here?, there?);
-    let (before, after) = (far.map(|far| here - far), beyond.map(|beyond| beyond - there));
-    let (before, after) = (before.or(after).unwrap_or(0.0), after.or(before).unwrap_or(0.0));
-    let (first, last) = (there - gap * after - here, there - (here + gap * before));
-    let left = if first * last <= 0.0 { 0.0 } else { first.abs().min(last.abs()) };
-    // At the rim of a roof the slope is that of the facade.
-    Some(left.min((there - here).abs()))
-}
-
 /// One sample per cell, the highest, in the order of the cells.
 fn highest(samples: &mut Vec<([i64; 2], f64)>) {
     samples.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
@@ -389,7 +350,7 @@ mod tests {
     }
 
     fn count(mesh: &Mesh, step: f64) -> usize {
-        let rules = RoofRules { cell: 0.5, step, hue_step: f64::INFINITY, min_area: 10.0 };
+        let rules = RoofRules { cell: 0.5, step, flat: 0.03, hue_step: f64::INFINITY, min_area: 10.0 };
         let mut found = roof_pieces(mesh, DVec3::Z, &rules, |_| true).expect("a good cell");
         found.sort_unstable();
         found.dedup();
@@ -419,7 +380,7 @@ mod tests {
         });
         let mut paint = |color: fn(f64, f64) -> [u8; 3], hue_step: f64| {
             mesh.colors = mesh.vertices.iter().map(|at| color(at[0], at[1])).collect();
-            let rules = RoofRules { cell: 0.5, step: 0.2, hue_step, min_area: 10.0 };
+            let rules = RoofRules { cell: 0.5, step: 0.2, flat: 0.03, hue_step, min_area: 10.0 };
             let mut found = roof_pieces(&mesh, DVec3::Z, &rules, |_| true).expect("a good cell");
             found.sort_unstable();
             found.dedup();
@@ -462,6 +423,26 @@ mod tests {
     }
 
     #[test]
+    fn a_worn_stretch_of_a_border_joins_no_roofs() {
+        // A step of 0.8 m, which is a ramp of one and a half along a third of it.
+        let worn = |x: f64, y: f64| {
+            let ramp = if (3.0..6.0).contains(&y) { ((x - 8.25) / 1.5).clamp(0.0, 1.0) } else { f64::from(x >= 9.0) };
+            Some(6.0 + 0.8 * ramp)
+        };
+        assert_eq!(count(&town(18, 9, worn), 0.2), 2);
+        let mut mesh = town(18, 9, |_, _| Some(6.0));
+        let mixed = |x: f64, y: f64| match x {
+            _ if (3.0..6.0).contains(&y) && (7.5..10.5).contains(&x) => [140, 101, 95],
+            x if x < 9.0 => [170, 90, 70],
+            _ => [110, 112, 120],
+        };
+        mesh.colors = mesh.vertices.iter().map(|at| mixed(at[0], at[1])).collect();
+        let rules = RoofRules { cell: 0.5, step: 0.2, flat: 0.03, hue_step: 0.12, min_area: 10.0 };
+        let found = roof_pieces(&mesh, DVec3::Z, &rules, |_| true).expect("a good cell");
+        assert_eq!(found.iter().collect::<std::collections::BTreeSet<_>>().len(), 2);
+    }
+
+    #[test]
     fn gaps_part_houses_and_boxes_on_roofs_do_not() {
         let height = |x: f64, y: f64| match (x, y) {
             (x, _) if (8.0..10.0).contains(&x) => None,
@@ -473,7 +454,7 @@ mod tests {
             roof_pieces(
                 &Mesh::default(),
                 DVec3::Z,
-                &RoofRules { cell: 0.0, step: 1.0, hue_step: 1.0, min_area: 1.0 },
+                &RoofRules { cell: 0.0, step: 1.0, flat: 0.1, hue_step: 1.0, min_area: 1.0 },
                 |_| true
             )
             .is_err()

@@ -42,7 +42,7 @@ pub struct BuildingOptions {
     /// Buildings part in plan view where a gap is wider than about two of these.
     pub plan_cell_m: f64,
     /// Roofs that touch are of two buildings where their heights differ by more than this, metres, and by more than one
-    /// and a half samples of the volume, which no relief resolves; 0: only gaps part.
+    /// sample of the volume; 0: only gaps part.
     pub height_step_m: f64,
     /// Roofs that touch are of two buildings also where their hues differ by more than this: |Δ ln(red / green)| +
     /// |Δ ln(blue / green)|, which light and shade do not change; 0: colours part nothing.
@@ -51,6 +51,11 @@ pub struct BuildingOptions {
     pub min_building_m2: f64,
 }
 
+/// Cells of the relief of roofs beside those in which gaps are seen.
+const RELIEF_SHARE: f64 = 0.6;
+/// Distance from a plane that roofs keep to, samples of the volume.
+const FLAT_VOXELS: f64 = 0.25;
+
 impl Default for BuildingOptions {
     fn default() -> Self {
         Self {
@@ -58,8 +63,8 @@ impl Default for BuildingOptions {
             min_piece_faces: 50,
             max_hole_rim_m: 6.0,
             plan_cell_m: 0.5,
-            height_step_m: 0.2,
-            hue_step: 0.15,
+            height_step_m: 0.1,
+            hue_step: 0.12,
             min_building_m2: 10.0,
         }
     }
@@ -176,8 +181,9 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         job.say("the cameras stand below the roofs: gaps alone part buildings, not the heights of roofs");
     }
     let rules = RoofRules {
-        cell: lengths.units(options.plan_cell_m).max(1.5 * voxel),
-        step: if is_parted { lengths.units(options.height_step_m).max(1.5 * voxel) } else { f64::INFINITY },
+        cell: lengths.units(options.plan_cell_m * if is_parted { RELIEF_SHARE } else { 1.0 }).max(1.5 * voxel),
+        step: if is_parted { lengths.units(options.height_step_m).max(voxel) } else { f64::INFINITY },
+        flat: FLAT_VOXELS * voxel,
         hue_step: if options.hue_step > 0.0 { options.hue_step } else { f64::INFINITY },
         min_area: lengths.square_units(options.min_building_m2),
     };
@@ -381,7 +387,8 @@ mod tests {
     #[test]
     fn the_largest_building_is_number_one_and_crumbs_are_background() {
         let mut city = squares(&[(0.0, 1), (10.0, 1), (11.0, 1), (20.0, 0)]);
-        let rules = |min_area: f64| RoofRules { cell: 0.5, step: f64::INFINITY, hue_step: f64::INFINITY, min_area };
+        let rules =
+            |min_area: f64| RoofRules { cell: 0.5, step: f64::INFINITY, flat: 0.0, hue_step: f64::INFINITY, min_area };
         number_buildings(&mut city, DVec3::Z, &rules(0.5)).expect("numbered");
         assert_eq!(city.buildings, [2, 2, 1, 1, 1, 1, 0, 0]);
         number_buildings(&mut city, DVec3::Z, &rules(1.5)).expect("numbered");
@@ -406,7 +413,7 @@ mod tests {
     fn given_numbers_stay_and_what_nobody_numbered_gets_the_next() {
         let mut city = squares(&[(0.0, 1), (1.0, 1), (2.0, 1), (10.0, 2), (20.0, 0)]);
         city.buildings = vec![7, 0, 7, 4, 4, 4, 0, 0, 9, 9];
-        let rules = RoofRules { cell: 0.5, step: f64::INFINITY, hue_step: f64::INFINITY, min_area: 0.4 };
+        let rules = RoofRules { cell: 0.5, step: f64::INFINITY, flat: 0.0, hue_step: f64::INFINITY, min_area: 0.4 };
         number_buildings(&mut city, DVec3::Z, &rules).expect("numbered");
         assert_eq!(city.buildings, [7, 7, 7, 4, 4, 4, 8, 8, 0, 0]);
         assert_eq!(city.groups, [1, 1, 1, 1, 1, 1, 2, 2, 0, 0]);
