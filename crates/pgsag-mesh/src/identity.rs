@@ -24,7 +24,7 @@ pub struct RoofRules {
     pub cell: f64,
     /// Least height difference where roofs meet; infinite: only gaps part buildings.
     pub step: f64,
-    /// Distance from a plane that is none, within three cells.
+    /// Distance from a plane that is none, within three cells, beside what all roofs are rough by.
     pub flat: f64,
     /// Least difference of hue where roofs meet, |Δ ln(red / green)| + |Δ ln(blue / green)|; infinite: colours part nothing.
     pub hue_step: f64,

@@ -12,6 +12,8 @@ use crate::components::Sets;
 pub(super) const BESIDE: [[i64; 2]; 4] = [[1, 0], [-1, 0], [0, 1], [0, -1]];
 /// A cell begins a region where the hues about it differ by less than this part of the step that parts roofs.
 const CORE_HUE: f64 = 0.4;
+/// Roofs may be rougher than the rules have it by so many times what the smoothest quarter of all cells is.
+const ROUGHNESS: f64 = 1.5;
 /// Cells that begin a region, at least.
 const CORE_CELLS: u32 = 10;
 /// Cells from a border at which slopes are looked at, nearest first; the volume rounds a step over two of them.
@@ -35,7 +37,12 @@ pub(super) fn regions(relief: &Relief, rules: &RoofRules) -> Vec<u32> {
 
 /// Regions of plane cells of one hue, grown to where they meet.
 fn fragments(relief: &Relief, rules: &RoofRules) -> Vec<u32> {
-    let is_core: Vec<bool> = (0..relief.keys.len()).map(|cell| is_core(relief, rules, cell)).collect();
+    let bends: Vec<[f64; 2]> = (0..relief.keys.len()).map(|cell| bend(relief, cell)).collect();
+    let mut heights: Vec<f64> = bends.iter().map(|bend| bend[0]).filter(|height| height.is_finite()).collect();
+    heights.sort_by(f64::total_cmp);
+    let flat = rules.flat + ROUGHNESS * heights.get(heights.len() / 4).copied().unwrap_or(0.0);
+    let is_core: Vec<bool> =
+        bends.iter().map(|[height, hue]| *height < flat && *hue < CORE_HUE * rules.hue_step).collect();
     let own = connected(relief, |cell| is_core[cell]);
     let (mut cells, mut is_wide) = (vec![0u32; own.len()], vec![false; own.len()]);
     for (cell, root) in own.iter().enumerate() {
@@ -67,12 +74,12 @@ fn connected(relief: &Relief, is_in: impl Fn(usize) -> bool) -> Vec<u32> {
     (0..relief.keys.len() as u32).map(|cell| sets.find(cell)).collect()
 }
 
-/// Whether the nine cells about one lie in a plane and are of one hue.
-fn is_core(relief: &Relief, rules: &RoofRules, cell: usize) -> bool {
+/// How far the nine cells about one are from a plane, and how far their hues are apart; infinite where cells are missing.
+fn bend(relief: &Relief, cell: usize) -> [f64; 2] {
     let at = relief.keys[cell];
     let mut around = [0; 9];
     for (k, found) in around.iter_mut().enumerate() {
-        let Some(other) = relief.beside(at, [k as i64 / 3 - 1, k as i64 % 3 - 1], 1) else { return false };
+        let Some(other) = relief.beside(at, [k as i64 / 3 - 1, k as i64 % 3 - 1], 1) else { return [f64::INFINITY; 2] };
         *found = other;
     }
     let top = |k: usize| relief.tops[around[k]];
@@ -81,12 +88,12 @@ fn is_core(relief: &Relief, rules: &RoofRules, cell: usize) -> bool {
     let slopes = [0.5 * (mean([6, 7, 8]) - mean([0, 1, 2])), 0.5 * (mean([2, 5, 8]) - mean([0, 3, 6]))];
     let plane =
         |k: usize| middle + slopes[0] * (k as f64 / 3.0).floor() - slopes[0] + slopes[1] * (k as f64 % 3.0 - 1.0);
-    let is_plane = (0..9).all(|k| (top(k) - plane(k)).abs() < rules.flat);
+    let height = (0..9).map(|k| (top(k) - plane(k)).abs()).fold(0.0, f64::max);
     let spread = |channel: usize| {
         let hues = around.map(|other| relief.hues[other][channel]);
         hues.iter().fold(f64::MIN, |a, b| a.max(*b)) - hues.iter().fold(f64::MAX, |a, b| a.min(*b))
     };
-    is_plane && spread(0) + spread(1) < CORE_HUE * rules.hue_step
+    [height, spread(0) + spread(1)]
 }
 
 /// Pairs of neighbouring regions that are of one roof, those most alike first and none twice: which becomes which.

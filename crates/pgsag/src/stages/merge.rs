@@ -54,7 +54,7 @@ pub struct BuildingOptions {
 /// Cells of the relief of roofs beside those in which gaps are seen.
 const RELIEF_SHARE: f64 = 0.6;
 /// Distance from a plane that roofs keep to, samples of the volume.
-const FLAT_VOXELS: f64 = 0.25;
+const FLAT_VOXELS: f64 = 0.2;
 
 impl Default for BuildingOptions {
     fn default() -> Self {
