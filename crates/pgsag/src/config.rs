@@ -335,9 +335,16 @@ impl Typed {
                 sources.insert(key.to_owned(), source.clone());
             }
         }
-        Ok(Resolved { config: Config::from_settings(&merged)?, sources })
+        let mut config = Config::from_settings(&merged)?;
+        if !matches!(sources.get(POSITION_STEP), Some(Source::File(_) | Source::Set | Source::Flag)) {
+            config.train.rates.position_gsd = Config::preset(preset).train.position_gsd_for(config.train.iterations);
+        }
+        Ok(Resolved { config, sources })
     }
 }
+
+/// Follows the number of iterations where nobody sets it.
+const POSITION_STEP: &str = "train.rates.position_gsd";
 
 fn preset_name(preset: Preset) -> String {
     serde_json::to_value(preset).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()

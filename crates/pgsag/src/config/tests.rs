@@ -34,6 +34,16 @@ fn losses_is_short_for_the_weights_of_training() {
 }
 
 #[test]
+fn positions_take_shorter_steps_where_training_is_longer() {
+    let step = |set: &[&str]| typed("preset = \"fast\"", set, &[]).resolve().expect("good").config.train.rates.position_gsd;
+    let fast = step(&[]);
+    assert_eq!(step(&["train.iterations=500"]), fast);
+    let longer = step(&["train.iterations=30000"]);
+    assert!((longer / fast - 0.37).abs() < 0.01, "{longer} of {fast}");
+    assert_eq!(step(&["train.iterations=30000", "train.rates.position_gsd=0.5"]), 0.5);
+}
+
+#[test]
 fn mistakes_are_one_line_with_a_place() {
     let line = |typed: Typed| one_line(&typed.resolve().expect_err("bad"));
     assert_eq!(line(typed("sead = 3", &[], &[])), "city.toml: sead: there is no such key; `pgsag config` lists them");
