@@ -128,7 +128,6 @@ pub(crate) fn exp2<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 
 /// The same with a relative error of 3e-6 (degree 4): for what is blended.
 #[inline(always)]
-#[expect(clippy::approx_constant, reason = "the coefficient of the best polynomial is near ln 2, and is not ln 2")]
 pub(crate) fn exp2_near<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     exp2_by(simd, x, [9.567_739e-3, 5.591_75e-2, 2.402_481e-1, 6.931_219e-1, 9.999_992e-1])
 }

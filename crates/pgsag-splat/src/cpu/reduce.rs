@@ -38,7 +38,7 @@ impl Ahead<'_> {
     fn next(&mut self, pairs: &[Line]) -> (usize, &Line) {
         let at = self.at;
         self.at += 1;
-        if at % FETCHED == 0 {
+        if at.is_multiple_of(FETCHED) {
             for (to, place) in self.fetched.iter_mut().zip(&self.places[at..]) {
                 *to = pairs[place.load(Relaxed) as usize];
             }

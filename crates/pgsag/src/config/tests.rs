@@ -35,7 +35,8 @@ fn losses_is_short_for_the_weights_of_training() {
 
 #[test]
 fn positions_take_shorter_steps_where_training_is_longer() {
-    let step = |set: &[&str]| typed("preset = \"fast\"", set, &[]).resolve().expect("good").config.train.rates.position_gsd;
+    let step =
+        |set: &[&str]| typed("preset = \"fast\"", set, &[]).resolve().expect("good").config.train.rates.position_gsd;
     let fast = step(&[]);
     assert_eq!(step(&["train.iterations=500"]), fast);
     let longer = step(&["train.iterations=30000"]);
