@@ -168,7 +168,7 @@ fn walk<S: Simd, const FIRST: usize, const F: usize, const STATISTICS: bool, con
     }
     let rest = (-weight).mul_add(along, state.rest[at.block].load(simd, at.lane));
     state.rest[at.block].store(simd, at.lane, rest);
-    // One division is cheaper than Newton's steps: its unit works beside those that multiply.
+    // Divided, not by Newton's steps: the divider works beside the multipliers.
     let mut d_alpha = before.mul_add(along, -(rest / passed));
     let moves = covered & free.simd_lt(splat(ALPHA_MAX));
     let alpha = moves.select(alpha, splat(0.0));

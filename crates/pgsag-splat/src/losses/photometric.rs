@@ -428,7 +428,7 @@ fn blur_across<T: Scalar, P: Pixels<T>>(kernel: &[P; HALF + 1], rows: &[&[T]; SE
     for j in 0..STEP {
         sums[j] = kernel[0] * values[j + HALF];
         for tap in 1..=HALF {
-            // Where sums have units of their own, this is twice as fast as two products.
+            // Sums have units of their own on some processors.
             sums[j] = kernel[tap].times_plus(values[j + HALF - tap] + values[j + HALF + tap], sums[j]);
         }
     }

@@ -13,7 +13,7 @@ use crate::train::density::DensityOptions;
 #[serde(default, deny_unknown_fields)]
 pub struct RateOptions {
     /// First position step, in local GSD per step. 3DGS's 1.6e-4 of the extent is 0.16 at 1000 px; runs with fewer
-    /// iterations need longer steps.
+    /// iterations need longer steps. Where it is not set, it follows from the preset's and `iterations`.
     pub position_gsd: f32,
     /// Last position step as a share of the first; exp-linear in between. 3DGS: 0.01.
     pub position_final: f32,

@@ -39,7 +39,7 @@ pub struct BuildingOptions {
     pub min_piece_faces: usize,
     /// Holes of the surface with a rim of at most this length are closed, metres; 0: none. A window's is 4 to 6 m.
     pub max_hole_rim_m: f64,
-    /// Buildings part in plan view where a gap is wider than about two of these.
+    /// Buildings part in plan view where a gap is wider than about two of these, or 1.2 where roofs are told apart from above.
     pub plan_cell_m: f64,
     /// Roofs that touch are of two buildings where their heights differ by more than this, metres, and by more than one
     /// sample of the volume; 0: only gaps part.
@@ -51,7 +51,7 @@ pub struct BuildingOptions {
     pub min_building_m2: f64,
 }
 
-/// Cells of the relief of roofs beside those in which gaps are seen.
+/// Cells of the relief of roofs, in those of a plan without.
 const RELIEF_SHARE: f64 = 0.6;
 /// Distance from a plane that roofs keep to, samples of the volume.
 const FLAT_VOXELS: f64 = 0.2;
