@@ -140,7 +140,7 @@ pub(crate) struct Recorder<'a> {
     device: &'a Device,
     encoder: wgpu::CommandEncoder,
     pass: Option<wgpu::ComputePass<'static>>,
-    /// Scratch of this submission: not lent to anyone else before it is submitted.
+    /// Scratch that launches see: not lent to another thread before they are submitted.
     kept: Vec<Arc<Buffer>>,
     launches: u32,
 }
@@ -151,6 +151,11 @@ impl Recorder<'_> {
         let buffer = self.device.scratch(what, bytes)?;
         self.kept.push(Arc::clone(&buffer));
         Ok(buffer)
+    }
+
+    /// Keeps scratch of an earlier submission from being lent before this one is submitted.
+    pub(crate) fn keep(&mut self, buffers: impl IntoIterator<Item = Arc<Buffer>>) {
+        self.kept.extend(buffers);
     }
 
     /// Launches a kernel on buffers in the order of its bindings.

@@ -290,6 +290,8 @@ impl Scene {
             &hits,
         ];
         record.run(&EMIT, &emitted, counters.threads(Counted::Drawn));
+        // No part of the frame, and of another submission where the card was asked for the number of pairs.
+        record.keep([order, starts]);
         // Slots of tiles, and one more for pairs that no tile wants.
         let bits = u32::BITS - self.tiles.count.leading_zeros();
         let [keys, pairs] = sort::sort(device, record, &counters, (Counted::Pairs, room), &tile_keys, bits)?;

@@ -51,6 +51,19 @@ fn two_devices_work_side_by_side() {
 }
 
 #[test]
+fn threads_may_share_a_card() {
+    let Some(gpu) = gpu() else { return };
+    let state = OptimizerState::fresh(cloud(60));
+    let alone = draw(gpu, &state);
+    let draws = || (0..100).filter(|_| draw(gpu, &state) != alone).count();
+    let wrong: usize = std::thread::scope(|scope| {
+        let threads = [(); 4].map(|()| scope.spawn(draws));
+        threads.into_iter().map(|thread| thread.join().expect("no panic")).sum()
+    });
+    assert_eq!(wrong, 0, "of 400 draws");
+}
+
+#[test]
 fn a_cloud_that_does_not_fit_is_refused_with_the_number() {
     let Some(gpu) = gpu() else { return };
     let options = GpuOptions {
