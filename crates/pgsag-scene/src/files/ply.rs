@@ -3,10 +3,11 @@
 //! [`Ply::parse`] reads any elements and properties into columns; meshes, clouds and float tables (the layout of
 //! Gaussian splats) are views of those columns. Format: G. Turk, "The PLY Polygon File Format", 1994.
 
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 
 use crate::error::{FileError, Place};
 use crate::mesh::Mesh;
+use body::Stream;
 
 mod body;
 mod header;
@@ -125,8 +126,14 @@ impl Ply {
     /// # Errors
     /// [`FileError`] with the line of the header or the byte (binary) or line (ascii) of the body.
     pub fn parse(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
-        let header = header::parse(file, bytes)?;
-        let elements = body::read(file, bytes, &header)?;
+        let (mut input, length) = (bytes, bytes.len() as u64);
+        let mut stream = Stream::new(file, &mut input, length);
+        let header = stream.header()?;
+        let mut elements = Vec::with_capacity(header.elements.len().min(64));
+        body::read(stream, &header, usize::MAX, &mut |_, rows| {
+            elements.push(rows);
+            Ok(())
+        })?;
         Ok(Self { comments: header.comments, elements })
     }
 
@@ -141,9 +148,25 @@ impl Ply {
 ///
 /// # Errors
 /// [`FileError`]: damaged, no vertices, an index that leads nowhere, a vertex that is not finite.
-pub fn read_mesh(file: &str, bytes: &[u8]) -> Result<Mesh, FileError> {
-    shapes::mesh(file, &Ply::parse(file, bytes)?)
+pub fn read_mesh(file: &str, mut bytes: &[u8]) -> Result<Mesh, FileError> {
+    let length = bytes.len() as u64;
+    read_mesh_from(file, &mut bytes, length)
 }
+
+/// Reads a mesh as [`read_mesh`] does, from a source of `length` bytes: besides the mesh little is held.
+///
+/// # Errors
+/// Those of [`read_mesh`], and what the source says.
+pub fn read_mesh_from(file: &str, input: &mut dyn Read, length: u64) -> Result<Mesh, FileError> {
+    let mut stream = Stream::new(file, input, length);
+    let header = stream.header()?;
+    let mut rows = shapes::MeshRows::new(file, &header);
+    body::read(stream, &header, ROWS_AT_ONCE, &mut |element, part| rows.take(element, &part))?;
+    rows.finish()
+}
+
+/// Rows of a mesh that are held as columns.
+const ROWS_AT_ONCE: usize = 1 << 14;
 
 /// Reads the vertices of a file as a cloud; all whole-number properties but colours are kept as attributes.
 ///

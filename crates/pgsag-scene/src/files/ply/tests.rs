@@ -114,3 +114,50 @@ fn wrong_indices_and_places_are_refused() {
     write_mesh(&mut bytes, &mesh, &[]).unwrap();
     assert!(read_mesh("a.ply", &bytes).unwrap_err().to_string().contains("vertex 2"));
 }
+
+/// Hands over few bytes at a time.
+struct Drops<'a>(&'a [u8]);
+
+impl Read for Drops<'_> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let count = into.len().min(self.0.len()).min(7001);
+        into[..count].copy_from_slice(&self.0[..count]);
+        self.0 = &self.0[count..];
+        Ok(count)
+    }
+}
+
+#[test]
+fn a_mesh_comes_through_windows_as_it_is() {
+    let count = 3 * ROWS_AT_ONCE as u32 + 17;
+    let mesh = Mesh {
+        vertices: (0..count).map(|i| [f64::from(i) + 0.25, -f64::from(i), 1e6]).collect(),
+        colors: (0..count).map(|i| [i as u8, (i >> 8) as u8, 7]).collect(),
+        faces: (2..count).map(|i| [i, i - 1, i - 2]).collect(),
+        groups: (2..count).collect(),
+        ..Mesh::default()
+    };
+    let mut bytes = Vec::new();
+    write_mesh(&mut bytes, &mesh, &[]).unwrap();
+    assert!(bytes.len() > 2 << 20, "more than two windows");
+    assert_eq!(read_mesh_from("a.ply", &mut Drops(&bytes), bytes.len() as u64).unwrap(), mesh);
+    // A file that has become shorter since it was measured.
+    let short = &bytes[..bytes.len() - 1];
+    let error = read_mesh_from("a.ply", &mut Drops(short), bytes.len() as u64).unwrap_err().to_string();
+    assert!(error.contains("ends within the rows"), "{error}");
+
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {count}\nproperty double x\nproperty double y\nproperty double z\n\
+         property uchar red\nproperty uchar green\nproperty uchar blue\nelement face {}\n\
+         property list uchar int vertex_indices\nproperty uint group\nend_header\n",
+        mesh.faces.len()
+    );
+    for ([x, y, z], [r, g, b]) in mesh.vertices.iter().zip(&mesh.colors) {
+        text += &format!("{x} {y} {z} {r} {g}\t{b}\r\n");
+    }
+    for ([a, b, c], group) in mesh.faces.iter().zip(&mesh.groups) {
+        text += &format!("3 {a} {b} {c} {group}\n");
+    }
+    assert!(text.len() > 2 << 20, "more than two windows");
+    assert_eq!(read_mesh_from("a.ply", &mut Drops(text.as_bytes()), text.len() as u64).unwrap(), mesh);
+}
