@@ -97,9 +97,9 @@ pub fn label_components(mesh: &Mesh) -> Vec<u32> {
 /// The mesh without its small parts, and what was dropped, largest first. Where gaps are to be closed the faces of small
 /// parts stay, no longer as measured ones: what closes a gap goes on beyond a crumb that lies in it.
 #[must_use]
-pub fn drop_small(mesh: &Mesh, options: &ComponentOptions) -> (Mesh, Vec<Dropped>) {
-    let labels = label_components(mesh);
-    let parts = measure(mesh, &labels);
+pub fn drop_small(mut mesh: Mesh, options: &ComponentOptions) -> (Mesh, Vec<Dropped>) {
+    let labels = label_components(&mesh);
+    let parts = measure(&mesh, &labels);
     // Parts of no measured face are what gaps are closed with.
     let is_small = |part: &Dropped| part.area < options.min_area || part.faces < options.min_faces;
     let small: Vec<bool> = parts.iter().map(|part| part.faces > 0 && is_small(part)).collect();
@@ -107,13 +107,12 @@ pub fn drop_small(mesh: &Mesh, options: &ComponentOptions) -> (Mesh, Vec<Dropped
         parts.iter().zip(&small).filter(|(_, small)| **small).map(|(part, _)| *part).collect();
     dropped.sort_by(|a, b| b.area.total_cmp(&a.area));
     if !mesh.closed.is_empty() {
-        let mut mesh = mesh.clone();
         for (closed, label) in mesh.closed.iter_mut().zip(&labels) {
             *closed = (*closed).max(u32::from(small[*label as usize]));
         }
         return (mesh, dropped);
     }
-    (keep_faces(mesh, |face| !small[labels[face] as usize]), dropped)
+    (keep_faces(&mesh, |face| !small[labels[face] as usize]), dropped)
 }
 
 /// The `count` parts with the most surface.

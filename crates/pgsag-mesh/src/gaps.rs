@@ -61,8 +61,8 @@ pub fn close_gaps(mut mesh: Mesh, width: f64) -> (Mesh, Gaps) {
 pub fn drop_wide(mut mesh: Mesh, width: f64, inset: impl Fn(DVec3) -> f64) -> Mesh {
     let patch = Patch::new(&mesh);
     let (_, is_kept) = patch.narrow(&mesh, width);
-    let insets: Vec<f64> = patch.centers.iter().map(|center| inset(*center)).collect();
     drop(patch);
+    let insets: Vec<f64> = (0..mesh.faces.len()).map(|face| inset(center(&mesh, face))).collect();
     for face in 0..mesh.faces.len() {
         if !mesh.is_measured(face) && is_kept[face] && insets[face] > DECIDED_WIDTHS * width {
             mesh.closed[face] = DECIDED;
@@ -87,9 +87,12 @@ fn area(mesh: &Mesh, face: usize) -> f64 {
     0.5 * (b - a).cross(c - a).length()
 }
 
+fn center(mesh: &Mesh, face: usize) -> DVec3 {
+    mesh.triangle(face).map(DVec3::from).iter().sum::<DVec3>() / 3.0
+}
+
 /// The closing faces with what they touch.
 struct Patch {
-    centers: Vec<DVec3>,
     /// `[F + 1]` Where the closing neighbours of each face begin in `beside`.
     starts: Vec<u32>,
     beside: Vec<u32>,
@@ -102,13 +105,8 @@ struct Patch {
 impl Patch {
     fn new(mesh: &Mesh) -> Self {
         let count = mesh.faces.len();
-        let mut patch = Self {
-            centers: (0..count).map(|f| mesh.triangle(f).map(DVec3::from).iter().sum::<DVec3>() / 3.0).collect(),
-            starts: vec![0; count + 1],
-            beside: Vec::new(),
-            attached: Vec::new(),
-            is_open: vec![false; count],
-        };
+        let mut patch =
+            Self { starts: vec![0; count + 1], beside: Vec::new(), attached: Vec::new(), is_open: vec![false; count] };
         let mut pairs: Vec<[u32; 2]> = Vec::new();
         for same in sides(mesh).chunk_by(|a, b| a.0 == b.0) {
             for (_, face) in same.iter().filter(|(_, face)| !mesh.is_measured(*face as usize)) {
@@ -138,7 +136,7 @@ impl Patch {
     /// measured or closes a gap no wider than `width`.
     fn narrow(&self, mesh: &Mesh, width: f64) -> (Vec<(f64, u32)>, Vec<bool>) {
         let reach = width / 2.0;
-        let from_surface = self.walk(self.attached.iter().copied(), f64::INFINITY);
+        let from_surface = self.walk(mesh, self.attached.iter().copied(), f64::INFINITY);
         // One that hung on a crumb hangs on nothing any more.
         let is_decided = |face: usize| mesh.closed.get(face) == Some(&DECIDED) && from_surface[face].0.is_finite();
         let is_wide = |face: &u32| {
@@ -146,7 +144,7 @@ impl Patch {
             !is_decided(at) && (from_surface[at].0 > reach || self.is_open[at])
         };
         let wide = (0..mesh.faces.len() as u32).filter(|face| !mesh.is_measured(*face as usize)).filter(is_wide);
-        let from_wide = self.walk(wide, MARGIN * reach);
+        let from_wide = self.walk(mesh, wide, MARGIN * reach);
         let is_kept = |face: usize| mesh.is_measured(face) || is_decided(face) || from_wide[face].0.is_infinite();
         let kept = (0..mesh.faces.len()).map(is_kept).collect();
         (from_surface, kept)
@@ -175,8 +173,8 @@ impl Patch {
     }
 
     /// `[F]` For closing faces within `limit` of one of the first: the way over closing faces, and whose it is.
-    fn walk<S: Into<Start>>(&self, first: impl Iterator<Item = S>, limit: f64) -> Vec<(f64, u32)> {
-        let mut found = vec![(f64::INFINITY, u32::MAX); self.centers.len()];
+    fn walk<S: Into<Start>>(&self, mesh: &Mesh, first: impl Iterator<Item = S>, limit: f64) -> Vec<(f64, u32)> {
+        let mut found = vec![(f64::INFINITY, u32::MAX); mesh.faces.len()];
         let mut heap = BinaryHeap::new();
         for Start { face, origin } in first.map(Into::into) {
             found[face as usize] = (0.0, origin);
@@ -188,8 +186,9 @@ impl Patch {
             if bits > distance.to_bits() {
                 continue;
             }
+            let here = center(mesh, face as usize);
             for other in &self.beside[self.starts[face as usize] as usize..self.starts[face as usize + 1] as usize] {
-                let further = distance + self.centers[face as usize].distance(self.centers[*other as usize]);
+                let further = distance + here.distance(center(mesh, *other as usize));
                 if further <= limit && further < found[*other as usize].0 {
                     found[*other as usize] = (further, origin);
                     heap.push(Reverse((further.to_bits(), *other)));

@@ -14,6 +14,7 @@ mod judge;
 mod options;
 mod panoptic;
 mod picture;
+mod pieces;
 mod published;
 mod sample;
 mod stats;
@@ -22,14 +23,15 @@ mod surface;
 pub use align::{Similarity, icp};
 pub use options::{Align, BuildingScore, Distances, Protocol, Score, ScoreOptions, Spread, ThresholdScore, Truth};
 pub use panoptic::{Panoptic, off_buildings, panoptic};
-pub use picture::{Nearest, distance_color};
+pub use picture::{distance_color, distances_from_mesh, distances_from_truth};
 
 use crop::in_polygon;
 use judge::Known;
 use published::{Rules, smallest, truth_cloud};
 
+pub(crate) use pieces::nearest;
 pub(crate) use sample::Sampler;
-pub(crate) use surface::{Cloud, Surface, Target, Walk};
+pub(crate) use surface::{Cloud, Surface, Target, Walk, face_normal};
 
 /// Scores `mesh` (scene units) against `truth`. `Score::inputs` is left empty for the caller.
 ///

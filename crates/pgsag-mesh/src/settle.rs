@@ -24,15 +24,15 @@ pub fn settle(mesh: &Mesh, labels: &[u32], min_area: f64) -> Vec<u32> {
     if labels.len() != mesh.faces.len() {
         return labels.to_vec();
     }
-    let joints = joints(mesh);
+    let sides = sides(mesh);
     let mut sets = Sets::new(mesh.faces.len());
-    for Joint { faces: [a, b], .. } in &joints {
-        if labels[*a as usize] == labels[*b as usize] {
-            sets.join(*a, *b);
+    for Joint { faces: [a, b], .. } in joints(mesh, &sides) {
+        if labels[a as usize] == labels[b as usize] {
+            sets.join(a, b);
         }
     }
-    let mut patches = Patches::new(mesh, labels, &joints, sets);
-    drop(joints);
+    let mut patches = Patches::new(mesh, labels, joints(mesh, &sides), sets);
+    drop(sides);
     for _ in 0..MAX_ROUNDS {
         if patches.join_small(min_area) == 0 {
             break;
@@ -41,14 +41,13 @@ pub fn settle(mesh: &Mesh, labels: &[u32], min_area: f64) -> Vec<u32> {
     (0..mesh.faces.len() as u32).map(|face| patches.label_of(face)).collect()
 }
 
-fn joints(mesh: &Mesh) -> Vec<Joint> {
-    let sides = sides(mesh);
+fn joints<'a>(mesh: &'a Mesh, sides: &'a [([u32; 2], u32)]) -> impl Iterator<Item = Joint> + 'a {
     let place = |vertex: u32| DVec3::from(mesh.vertices[vertex as usize]);
-    let joint = |pair: &[([u32; 2], u32)]| {
+    let joint = move |pair: &[([u32; 2], u32)]| {
         let [([a, b], first), (same, second)] = [pair[0], pair[1]];
         (same == [a, b]).then(|| Joint { faces: [first, second], length: place(a).distance(place(b)) })
     };
-    sides.windows(2).filter_map(joint).collect()
+    sides.windows(2).filter_map(joint)
 }
 
 /// Patches of one label, each known by its smallest face.
@@ -61,7 +60,7 @@ struct Patches {
 }
 
 impl Patches {
-    fn new(mesh: &Mesh, labels: &[u32], joints: &[Joint], mut sets: Sets) -> Self {
+    fn new(mesh: &Mesh, labels: &[u32], joints: impl Iterator<Item = Joint>, mut sets: Sets) -> Self {
         let (mut area, mut label) = (BTreeMap::new(), BTreeMap::new());
         for face in 0..mesh.faces.len() {
             let [a, b, c] = mesh.triangle(face).map(DVec3::from);

@@ -23,14 +23,14 @@ fn parts_are_numbered_by_first_faces() {
 #[test]
 fn small_parts_are_dropped_and_listed() {
     let mesh = crate::merge::merge(&[squares(&[[0.0, 0.0], [5.0, 0.0], [1.0, 0.0]])]);
-    let (kept, dropped) = drop_small(&mesh, &ComponentOptions { min_area: 1.5, min_faces: 1 });
+    let (kept, dropped) = drop_small(mesh.clone(), &ComponentOptions { min_area: 1.5, min_faces: 1 });
     assert_eq!((kept.faces.len(), kept.vertices.len()), (4, 6));
     assert_eq!(kept.buildings, [1, 1, 3, 3]);
     assert_eq!(dropped.len(), 1);
     assert_eq!((dropped[0].faces, dropped[0].area), (2, 1.0));
     assert!((dropped[0].center[0] - 5.5).abs() < 1e-12);
     assert_eq!(largest(&mesh, 1), kept);
-    let (none, _) = drop_small(&mesh, &ComponentOptions { min_area: 0.0, min_faces: 5 });
+    let (none, _) = drop_small(mesh.clone(), &ComponentOptions { min_area: 0.0, min_faces: 5 });
     assert!(none.faces.is_empty() && none.vertices.is_empty());
 }
 

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::error::MeshError;
-use crate::score::{Surface, Walk};
+use crate::score::{face_normal, nearest};
 
 /// Least rays of a point that is asked.
 const MIN_TRACK: usize = 3;
@@ -86,25 +86,37 @@ pub struct PointWitness {
 /// # Errors
 /// A mesh without surface.
 pub fn point_witness(mesh: &Mesh, scene: &Scene, asked: &[u32], reach: f64) -> Result<PointWitness, MeshError> {
-    let surface = Surface::new(mesh, "the mesh")?;
+    if mesh.faces.is_empty() {
+        return Err(MeshError::Geometry { what: "the mesh has no surface".into(), cure: "give a mesh with faces" });
+    }
     let fits: Vec<Option<Fix>> = asked.par_iter().map(|at| fix(&scene.points[*at as usize], &scene.views)).collect();
     let mut noises: Vec<f64> = fits.iter().flatten().map(|fit| fit.variance_px2.sqrt()).collect();
     let Some(noise_px) = median(&mut noises) else {
         return Ok(PointWitness { unfit: asked.len() as u64, ..PointWitness::default() });
     };
     let mut found = PointWitness { noise_px: Some(noise_px), ..PointWitness::default() };
-    let mut walk = Walk::default();
-    for (index, fit) in asked.iter().zip(fits) {
-        let Some(fit) = fit.filter(|fit| fit.variance_px2 <= MAX_ERROR_PX * MAX_ERROR_PX) else {
+    let noise = |fit: &Fix| {
+        (fit.freedom * fit.variance_px2 + PRIOR_FREEDOM * noise_px * noise_px) / (fit.freedom + PRIOR_FREEDOM)
+    };
+    let is_sound = |fit: &Fix| fit.variance_px2 <= MAX_ERROR_PX * MAX_ERROR_PX;
+    let places: Vec<DVec3> = asked.iter().map(|index| scene.points[*index as usize].position_world).collect();
+    // The trace bounds the variance in any direction.
+    let limit = |at: usize| {
+        let sigma = |fit: &Fix| (noise(fit) * (0..3).map(|k| fit.cofactor.col(k)[k]).sum::<f64>()).sqrt();
+        fits[at].as_ref().filter(|fit| is_sound(fit)).map_or(0.0, |fit| 1.001 * (reach + MAX_SIGMAS * sigma(fit)))
+    };
+    let hits = nearest(mesh, &places, 2.0 * reach, limit);
+    for (((index, fit), place), hit) in asked.iter().zip(&fits).zip(places).zip(hits) {
+        let Some(fit) = fit.as_ref().filter(|fit| is_sound(fit)) else {
             found.unfit += 1;
             continue;
         };
-        let place = scene.points[*index as usize].position_world;
-        let Some(hit) = walk.nearest(&surface, place) else { continue };
-        let toward = (place - hit.place).normalize_or(surface.normal(hit.index));
-        let variance =
-            (fit.freedom * fit.variance_px2 + PRIOR_FREEDOM * noise_px * noise_px) / (fit.freedom + PRIOR_FREEDOM);
-        let sigma = (variance * toward.dot(fit.cofactor * toward)).sqrt();
+        let Some(hit) = hit else {
+            found.without_mesh += 1;
+            continue;
+        };
+        let toward = (place - hit.place).normalize_or(face_normal(mesh, hit.index));
+        let sigma = (noise(fit) * toward.dot(fit.cofactor * toward)).sqrt();
         if hit.distance > reach + MAX_SIGMAS * sigma {
             found.without_mesh += 1;
             continue;

@@ -7,13 +7,16 @@ use rayon::prelude::*;
 use super::crop::in_polygon;
 use super::edges::Edges;
 use super::options::{ScoreOptions, Truth};
+use super::pieces::nearest;
 use super::sample::Sampler;
-use super::stats::{Judged, Part, Verdict};
+use super::stats::{Judged, Part, Parts, Verdict};
 use super::surface::{Cloud, Hit, Surface, Target, Walk};
 use crate::error::MeshError;
 
 /// Faces or points judged together.
 const CHUNK: usize = 2048;
+/// True points that are looked for on the mesh together.
+const BATCH: usize = 1 << 21;
 /// A true face is a facade where its normal is within 20 degrees of the horizontal.
 const FACADE_MAX_UP: f64 = 0.342;
 
@@ -93,7 +96,7 @@ fn accuracy(
     spacing: f64,
     only_buildings: bool,
     options: &ScoreOptions,
-) -> Result<(Vec<Judged>, u64), MeshError> {
+) -> Result<(Parts, u64), MeshError> {
     let sampler = Sampler::new(mesh, spacing, options.seed)?;
     let chunks = mesh.faces.len().div_ceil(CHUNK);
     let parts: Vec<(Vec<Judged>, u64)> = (0..chunks)
@@ -112,13 +115,12 @@ fn accuracy(
                     kept.push(judged(&hit, building, known.part(&hit, options), options));
                 }
             }
+            kept.shrink_to_fit();
             (kept, left_out)
         })
         .collect();
     let left_out = parts.iter().map(|part| part.1).sum();
-    let mut all = Vec::with_capacity(parts.iter().map(|part| part.0.len()).sum());
-    parts.into_iter().for_each(|part| all.extend(part.0));
-    Ok((all, left_out))
+    Ok((parts.into_iter().map(|part| part.0).collect(), left_out))
 }
 
 /// Where recall is judged, with buildings (empty where unknown).
@@ -156,30 +158,33 @@ fn completeness(
     points: &[[f64; 3]],
     buildings: &[u32],
     options: &ScoreOptions,
-) -> Vec<Judged> {
-    // A mesh without surface misses every point, however far the threshold.
-    let surface = Surface::new(mesh, "the mesh").ok();
-    let parts: Vec<Vec<Judged>> = points
-        .par_chunks(CHUNK)
-        .enumerate()
-        .map(|(chunk, part)| {
-            let (mut to_mesh, mut to_truth) = (Walk::default(), Walk::default());
-            part.iter()
-                .enumerate()
-                .map(|(at, point)| {
-                    let point = DVec3::from(*point);
-                    let building = buildings.get(chunk * CHUNK + at).copied().unwrap_or(0);
-                    let part = if known.has_surface() {
-                        to_truth.nearest(known.target(), point).map_or(Part::Whole, |hit| known.part(&hit, options))
-                    } else {
-                        Part::Whole
-                    };
-                    let hit = surface.as_ref().and_then(|surface| to_mesh.nearest(surface, point));
+) -> Parts {
+    let reach = options.mean_cap_m / options.metres_per_unit;
+    let batch = |(number, batch): (usize, &[[f64; 3]])| {
+        let places: Vec<DVec3> = batch.iter().map(|point| DVec3::from(*point)).collect();
+        let hits = nearest(mesh, &places, reach, |_| f64::INFINITY);
+        let first = number * BATCH;
+        let part_of = |walk: &mut Walk, point: DVec3| {
+            let hit = if known.has_surface() { walk.nearest(known.target(), point) } else { None };
+            hit.map_or(Part::Whole, |hit| known.part(&hit, options))
+        };
+        let judged: Vec<Vec<Judged>> = places
+            .par_chunks(CHUNK)
+            .enumerate()
+            .map(|(chunk, part)| {
+                let mut walk = Walk::default();
+                let one = |(at, point): (usize, &DVec3)| {
+                    let at = chunk * CHUNK + at;
+                    let building = buildings.get(first + at).copied().unwrap_or(0);
+                    let part = part_of(&mut walk, *point);
+                    // A mesh without surface misses every point, however far the threshold.
                     let nowhere = Judged { distance_m: f32::INFINITY, building, part };
-                    hit.map_or(nowhere, |hit| judged(&hit, building, part, options))
-                })
-                .collect()
-        })
-        .collect();
-    parts.concat()
+                    hits[at].map_or(nowhere, |hit| judged(&hit, building, part, options))
+                };
+                part.iter().enumerate().map(one).collect()
+            })
+            .collect();
+        judged
+    };
+    points.chunks(BATCH).enumerate().flat_map(batch).collect()
 }

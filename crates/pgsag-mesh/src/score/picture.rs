@@ -2,9 +2,11 @@
 
 use glam::DVec3;
 use pgsag_scene::Mesh;
+use rayon::prelude::*;
 
 use super::options::Truth;
-use super::surface::{Cloud, Surface, Target};
+use super::pieces::nearest;
+use super::surface::{Cloud, Target};
 use crate::error::MeshError;
 
 /// Colour of a distance: green at 0 over yellow at half of `cap` to red at `cap` and beyond.
@@ -15,32 +17,23 @@ pub fn distance_color(distance: f64, cap: f64) -> [u8; 3] {
     [(40.0 + 200.0 * red) as u8, (40.0 + 180.0 * green) as u8, 40]
 }
 
-/// Answers how far places are from one surface or cloud.
-pub struct Nearest(Box<dyn Target>);
-
-impl Nearest {
-    /// From the truth.
-    ///
-    /// # Errors
-    /// A truth without surface or points.
-    pub fn of_truth(truth: &Truth<'_>) -> Result<Self, MeshError> {
-        Ok(Self(match truth {
-            Truth::Mesh(mesh) | Truth::Folder { scene: mesh, .. } => Box::new(Surface::new(mesh, "the truth")?),
-            Truth::Cloud(points) => Box::new(Cloud::new(points.to_vec(), "the truth")?),
-        }))
+/// `[N]` how far places are from the truth, scene units; `cap` where nothing is nearer.
+///
+/// # Errors
+/// A truth without surface or points.
+pub fn distances_from_truth(truth: &Truth<'_>, places: &[DVec3], cap: f64) -> Result<Vec<f64>, MeshError> {
+    match truth {
+        Truth::Mesh(mesh) | Truth::Folder { scene: mesh, .. } => Ok(distances_from_mesh(mesh, places, cap)),
+        Truth::Cloud(points) => {
+            let cloud = Cloud::new(points.to_vec(), "the truth")?;
+            let distance = |place: &DVec3| cloud.nearest_within(*place, cap).map_or(cap, |hit| hit.distance.min(cap));
+            Ok(places.par_iter().map(distance).collect())
+        }
     }
+}
 
-    /// From a mesh.
-    ///
-    /// # Errors
-    /// A mesh without surface.
-    pub fn of_mesh(mesh: &Mesh) -> Result<Self, MeshError> {
-        Ok(Self(Box::new(Surface::new(mesh, "the mesh")?)))
-    }
-
-    /// Scene units; `cap` where nothing is nearer, which is found out sooner.
-    #[must_use]
-    pub fn distance(&self, place: DVec3, cap: f64) -> f64 {
-        self.0.nearest_within(place, cap).map_or(cap, |hit| hit.distance.min(cap))
-    }
+/// `[N]` how far places are from a mesh, scene units; `cap` where nothing is nearer.
+#[must_use]
+pub fn distances_from_mesh(mesh: &Mesh, places: &[DVec3], cap: f64) -> Vec<f64> {
+    nearest(mesh, places, cap, |_| cap).into_iter().map(|hit| hit.map_or(cap, |hit| hit.distance.min(cap))).collect()
 }

@@ -103,8 +103,8 @@ pub(crate) fn verdict(
     } / scale;
     let (samples, points) = (thinned(&samples, voxel), thinned(&points, voxel));
     let verdict = Verdict {
-        accuracy: judged(&samples, &points, scale),
-        completeness: judged(&points, &samples, scale),
+        accuracy: vec![judged(&samples, &points, scale)],
+        completeness: vec![judged(&points, &samples, scale)],
         signed: [false, false],
     };
     Ok((verdict, left_out))

@@ -25,10 +25,13 @@ pub(crate) struct Judged {
     pub part: Part,
 }
 
+/// Points in the order in which they were judged: there are too many to hold them twice for the sake of one list.
+pub(crate) type Parts = Vec<Vec<Judged>>;
+
 /// Both directions.
 pub(crate) struct Verdict {
-    pub accuracy: Vec<Judged>,
-    pub completeness: Vec<Judged>,
+    pub accuracy: Parts,
+    pub completeness: Parts,
     /// Whether distances have a sign, in either direction.
     pub signed: [bool; 2],
 }
@@ -71,7 +74,7 @@ fn harmonic(a: f64, b: f64) -> f64 {
 fn counts(verdict: &Verdict, thresholds: &[f64]) -> BTreeMap<u32, Counts> {
     let mut counts: BTreeMap<u32, Counts> = BTreeMap::new();
     for (side, points) in [&verdict.accuracy, &verdict.completeness].into_iter().enumerate() {
-        for point in points {
+        for point in points.iter().flatten() {
             let of = counts.entry(point.building).or_default();
             of.near.resize(thresholds.len(), [0; 2]);
             of.all[side] += 1;
@@ -116,14 +119,15 @@ pub(crate) fn rows(verdict: &Verdict, options: &ScoreOptions) -> Vec<ThresholdSc
 
 /// One entry per building number other than 0.
 pub(crate) fn per_building(verdict: &Verdict, options: &ScoreOptions) -> Vec<BuildingScore> {
-    let by_building = |points: &[Judged]| {
-        let mut map: BTreeMap<u32, Vec<Judged>> = BTreeMap::new();
-        points.iter().filter(|p| p.building != 0).for_each(|p| map.entry(p.building).or_default().push(*p));
+    let by_building = |points: &Parts| {
+        let mut map: BTreeMap<u32, Vec<f32>> = BTreeMap::new();
+        let of_any = points.iter().flatten().filter(|p| p.building != 0);
+        of_any.for_each(|p| map.entry(p.building).or_default().push(p.distance_m));
         map
     };
     let (accuracy, completeness) = (by_building(&verdict.accuracy), by_building(&verdict.completeness));
-    let of = |map: &BTreeMap<u32, Vec<Judged>>, id, signed| {
-        spread(map.get(&id).map_or(&[][..], Vec::as_slice).iter(), signed, options.mean_cap_m)
+    let of = |map: &BTreeMap<u32, Vec<f32>>, id, signed| {
+        spread(map.get(&id).map_or(&[][..], Vec::as_slice).iter().copied(), signed, options.mean_cap_m)
     };
     counts(verdict, &options.thresholds_m)
         .into_iter()
@@ -140,21 +144,24 @@ pub(crate) fn per_building(verdict: &Verdict, options: &ScoreOptions) -> Vec<Bui
 }
 
 /// Distances of all, and by part where parts are known.
-pub(crate) fn distances(points: &[Judged], signed: bool, cap: f64) -> Distances {
-    let part = |part: Part| {
-        let spread = spread(points.iter().filter(|p| p.part == part), signed, cap);
-        (spread.count > 0).then_some(spread)
+pub(crate) fn distances(points: &Parts, signed: bool, cap: f64) -> Distances {
+    let those = |keep: &dyn Fn(&Judged) -> bool| {
+        spread(points.iter().flatten().filter(|p| keep(p)).map(|p| p.distance_m), signed, cap)
     };
-    let all = spread(points.iter(), signed, cap);
-    Distances { all, roof: part(Part::Roof), facade: part(Part::Facade), edge: part(Part::Edge) }
+    let part = |part: Part| Some(those(&|p| p.part == part)).filter(|spread| spread.count > 0);
+    Distances { all: those(&|_| true), roof: part(Part::Roof), facade: part(Part::Facade), edge: part(Part::Edge) }
 }
 
-fn spread<'a>(points: impl Iterator<Item = &'a Judged>, signed: bool, cap: f64) -> Spread {
-    let mut values: Vec<f64> = points.map(|p| f64::from(p.distance_m)).collect();
+fn spread(points: impl Iterator<Item = f32>, signed: bool, cap: f64) -> Spread {
+    let mut values: Vec<f32> = points.collect();
     let count = values.len() as u64;
-    let signed_median = if signed { quantile(&mut values, 0.5) } else { None };
+    let at = |q: f64, values: &mut [f32]| {
+        let k = (values.len().saturating_sub(1) as f64 * q).round() as usize;
+        (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(k, f32::total_cmp).1))
+    };
+    let signed_median = if signed { at(0.5, &mut values) } else { None };
     values.iter_mut().for_each(|v| *v = v.abs());
-    let (p68, p90, p95) = (quantile(&mut values, 0.68), quantile(&mut values, 0.9), quantile(&mut values, 0.95));
-    let mean = (count > 0).then(|| values.iter().map(|v| v.min(cap)).sum::<f64>() / count as f64);
+    let [p68, p90, p95] = [0.68, 0.9, 0.95].map(|q| at(q, &mut values));
+    let mean = (count > 0).then(|| values.iter().map(|v| f64::from(*v).min(cap)).sum::<f64>() / count as f64);
     Spread { count, signed_median, mean, p68, p90, p95 }
 }

@@ -89,6 +89,12 @@ impl Target for Surface {
     }
 }
 
+/// Unit normal of a face; up where it has none.
+pub(crate) fn face_normal(mesh: &Mesh, face: u32) -> DVec3 {
+    let [a, b, c] = mesh.triangle(face as usize).map(DVec3::from);
+    (b - a).cross(c - a).normalize_or(DVec3::Z)
+}
+
 /// A cloud in a k-d tree.
 pub(crate) struct Cloud {
     tree: ImmutableKdTree<f64, 3>,

@@ -268,11 +268,13 @@ fn distances_are_green_on_the_truth_and_red_off_it() {
     let truth = plate(0.0, 2.0, 0.0);
     let (near, far) = (distance_color(0.0, 0.5), distance_color(3.0, 0.5));
     assert!(near[1] > near[0] && far[0] > far[1] && distance_color(0.5, 0.5) == far);
-    for from in [Nearest::of_truth(&Truth::Mesh(&truth)), Nearest::of_mesh(&truth)] {
-        let from = from.unwrap();
-        let at = |z: f64, cap: f64| from.distance(glam::DVec3::new(1.0, 1.0, z), cap);
-        assert!((at(3.0, 9.0) - 3.0).abs() < 1e-12 && at(0.0, 9.0) < 1e-12);
-        assert_eq!(at(3.0, 0.5), 0.5);
+    let places = [[1.0, 1.0, 3.0], [1.0, 1.0, 0.0]].map(DVec3::from);
+    for cap in [9.0, 0.5] {
+        let from_mesh = distances_from_mesh(&truth, &places, cap);
+        assert_eq!(from_mesh, distances_from_truth(&Truth::Mesh(&truth), &places, cap).unwrap());
+        assert!((from_mesh[0] - cap.min(3.0)).abs() < 1e-12 && from_mesh[1] < 1e-12);
+        let cloud = distances_from_truth(&Truth::Cloud(&truth.vertices), &places, cap).unwrap();
+        assert!((cloud[0] - cap.min(libm::sqrt(10.0))).abs() < 1e-12, "{cloud:?}");
     }
-    assert!(Nearest::of_mesh(&Mesh::default()).is_err());
+    assert_eq!(distances_from_mesh(&Mesh::default(), &places, 2.0), [2.0, 2.0]);
 }

@@ -158,14 +158,6 @@ pub fn group_names(stage_folder: &Path) -> Result<Vec<String>> {
     read_json::<Index>(&stage_folder.join("groups.json")).map(|index| index.names)
 }
 
-/// Whether masks said what a building is.
-///
-/// # Errors
-/// Where the stage is damaged.
-pub fn is_masked(stage_folder: &Path) -> Result<bool> {
-    read_json::<Index>(&stage_folder.join("groups.json")).map(|index| index.masked)
-}
-
 impl Artifact for Groups {
     const FORMAT: &'static str = "pgsag-groups";
     const VERSION: u32 = 2;

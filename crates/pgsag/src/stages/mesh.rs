@@ -7,15 +7,15 @@ use anyhow::{Context as _, Result};
 use glam::DVec3;
 use pgsag_mesh::gaps::drop_wide;
 use pgsag_mesh::{CellBox, DepthView, Lattice, MeshError, TsdfOptions, Volume, marching};
-use pgsag_scene::files::ply::{read_mesh, write_mesh};
+use pgsag_scene::files::ply::{read_mesh_from, write_mesh};
 use pgsag_scene::{Map, Mesh};
 use serde::{Deserialize, Serialize};
 
+use super::config;
 use super::fuse::{FusedView, fused_views, read_fused};
 use super::group::{Extent, Groups};
 use super::import::Imported;
 use super::masks::instances_of;
-use super::{config, read};
 use crate::config::Config;
 use crate::lengths::Lengths;
 use crate::photographs::{Photographs, training_camera};
@@ -67,8 +67,9 @@ impl Artifact for Surface {
 /// # Errors
 /// Where it is damaged.
 pub fn read_surface(path: &Path) -> Result<Mesh> {
-    let (file, bytes) = read(path)?;
-    Ok(read_mesh(&file, &bytes)?)
+    let mut file = std::fs::File::open(path).with_context(|| format!("{}", path.display()))?;
+    let length = file.metadata().with_context(|| format!("{}", path.display()))?.len();
+    Ok(read_mesh_from(&path.display().to_string(), &mut file, length)?)
 }
 
 /// Writes a mesh file.

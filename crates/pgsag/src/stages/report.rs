@@ -6,17 +6,17 @@ use std::path::Path;
 use anyhow::{Context as _, Result};
 use glam::DVec3;
 use pgsag_group::Group;
-use pgsag_mesh::components::keep_faces;
 use pgsag_mesh::merge::split_by_building;
 use pgsag_scene::{Frame, Mesh};
 use serde_json::{Value, json};
 
-use super::group::{Groups, finished_groups, is_masked};
+use super::group::{Groups, finished_groups};
 use super::import::Imported;
-use super::merge::{Building, Merged};
+use super::merge::Building;
+use super::mesh::read_surface;
 use super::score::{Scored, read_evidence};
 use super::vote::Votes;
-use super::{config, write, write_json};
+use super::{config, read_json, write, write_json};
 use crate::config::Config;
 use crate::lengths::Lengths;
 use crate::report;
@@ -44,9 +44,8 @@ impl Artifact for Published {
 pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     let bytes = fs::metadata(run.stage_folder("merge").join("city.ply")).map_or(0, |found| found.len());
     let reads = run.stage("report").map_or(&[][..], |stage| stage.reads);
-    // Measured: 5.5 to 6.6 times the city, up to 7.1 where all of it may be building.
-    let tenths = if is_masked(&run.stage_folder("group"))? { 66 } else { 74 };
-    let cost = Cost { memory_bytes: (64 << 20) + tenths * bytes / 10, disk_bytes: 2 * bytes, cpu_secs: 10.0 };
+    // Measured: 1.8 to 2.1 times the city beyond what pictures need.
+    let cost = Cost { memory_bytes: (176 << 20) + 24 * bytes / 10, disk_bytes: 2 * bytes, cpu_secs: 10.0 };
     Ok(JobPlan::whole(reads, cost))
 }
 
@@ -58,11 +57,13 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let names: Vec<String> = groups.iter().map(|group| group.id.to_string()).collect();
     link_files(job, &names)?;
     write_json(&job.output().join("georef.json"), &georef(&imported.scene.frame))?;
-    let Merged { city, list, .. } = job.read("merge")?;
+    // The city alone: its buildings are in it.
+    let city = read_surface(&job.input("merge").join("city.ply"))?;
+    let list: Vec<Building> = read_json(&job.input("merge").join("buildings.json"))?;
     let lengths = Lengths::of(&imported.scene);
     write_json(&job.output().join("buildings.geojson"), &footprints(&city, &list, &config, &lengths))?;
-    write(&job.output().join("city.glb"), &viewable(&city, &imported.scene.frame, &groups))?;
     let shown = report::pictures::shown(job, &config, &imported, &groups, &city)?;
+    write_viewable(&job.output().join("city.glb"), &city, &imported.scene.frame, &groups)?;
     let Scored(score) = job.read("score")?;
     let evidence = read_evidence(&job.input("score"))?;
     let face_count = city.faces.len();
@@ -124,12 +125,18 @@ fn footprints(city: &Mesh, list: &[Building], config: &Config, lengths: &Lengths
 }
 
 /// Buildings and background as two objects about the first group's origin.
-fn viewable(city: &Mesh, frame: &Frame, groups: &[Group]) -> Vec<u8> {
+fn write_viewable(path: &Path, city: &Mesh, frame: &Frame, groups: &[Group]) -> Result<()> {
     let origin = groups.first().map_or(DVec3::ZERO, |group| DVec3::from_array(group.origin_world));
     let is_building = |face: usize| city.buildings.get(face).is_some_and(|building| *building != 0);
-    let buildings = keep_faces(city, is_building);
-    let background = keep_faces(city, |face| !is_building(face));
-    report::glb::encode(&[("buildings", &buildings), ("surroundings", &background)], origin, frame.up_world)
+    let is_other = |face: usize| !is_building(face);
+    let part = |name, keep| report::glb::Part { name, mesh: city, keep };
+    let parts = [part("buildings", &is_building), part("surroundings", &is_other)];
+    let encode = || {
+        let mut out = std::io::BufWriter::new(fs::File::create(path)?);
+        report::glb::encode(&mut out, &parts, origin, frame.up_world)?;
+        std::io::Write::flush(&mut out)
+    };
+    encode().with_context(|| format!("{}", path.display()))
 }
 
 /// The same file under a second name, where the disk can do that.

@@ -14,7 +14,7 @@ use super::aoi::Area;
 use super::coarse::Coarse;
 use super::group::Groups;
 use super::import::Imported;
-use super::mesh::read_surface;
+use super::mesh::{lattice_of, read_surface};
 use super::{config, read_json, source_fingerprint, write_json};
 use crate::config::{Config, parse_size};
 use crate::error::UserError;
@@ -66,9 +66,12 @@ impl TruthFile {
     /// [`UserError`] or [`pgsag_scene::error::FileError`] with the file and the cure.
     pub fn read(path: &Path) -> Result<Self> {
         if path.is_dir() {
-            let scene = ply(&path.join("scene.ply"))?;
             let visible = ply(&path.join("visible.ply"))?;
-            let scene = read_mesh(&scene.0, &scene.1)?;
+            let scene = path.join("scene.ply");
+            let scene = read_surface(&scene).map_err(|error| match error.downcast_ref::<std::io::Error>() {
+                Some(reason) => unreadable(&scene, reason).into(),
+                None => error,
+            })?;
             return Ok(Self::Folder { scene, visible: read_cloud(&visible.0, &visible.1)? });
         }
         let (file, bytes) = ply(path)?;
@@ -94,14 +97,13 @@ impl TruthFile {
 }
 
 fn ply(path: &Path) -> Result<(String, Vec<u8>)> {
-    let bytes = std::fs::read(path).map_err(|error| {
-        UserError::at(
-            path,
-            format!("cannot be read ({error})"),
-            "give a PLY file, or a folder with scene.ply and visible.ply",
-        )
-    })?;
+    let bytes = std::fs::read(path).map_err(|error| unreadable(path, &error))?;
     Ok((path.display().to_string(), bytes))
+}
+
+fn unreadable(path: &Path, error: &std::io::Error) -> UserError {
+    let cure = "give a PLY file, or a folder with scene.ply and visible.ply";
+    UserError::at(path, format!("cannot be read ({error})"), cure)
 }
 
 /// Scores a mesh file and says what was judged.
@@ -150,6 +152,21 @@ pub fn read_evidence(folder: &Path) -> Result<Evidence> {
     read_json(&folder.join("evidence.json"))
 }
 
+/// Of a judged point, with the lists that order statistics are taken of.
+const BYTES_PER_SAMPLE: u64 = 20;
+/// Of a face with half a vertex, in a mesh file.
+const BYTES_PER_FACE: u64 = 38;
+
+/// About how many points of a surface of so many bytes are judged: a face is half a square of the volume's lattice.
+fn sample_count(run: &Run, config: &Config, bytes: u64) -> Result<u64> {
+    let scale = Imported::read(&run.stage_folder("import"))?.scene.frame.metres_per_unit;
+    let extent = Groups::read(&run.stage_folder("group"))?.extent;
+    let voxel_m = lattice_of(&extent, config, scale).voxel * scale.unwrap_or(1.0);
+    let smallest = config.score.thresholds_m.iter().copied().fold(f64::INFINITY, f64::min);
+    let spacing_m = config.score.spacing_m.unwrap_or(smallest / 3.0);
+    Ok((0.5 * (voxel_m / spacing_m).powi(2) * (bytes / BYTES_PER_FACE) as f64) as u64)
+}
+
 /// What the stage needs.
 struct Needs {
     cost: Cost,
@@ -167,15 +184,16 @@ impl Needs {
         let merge = run.stage_folder("merge");
         let (city, buildings) = (length(&merge.join("city.ply")), length(&merge.join("buildings.ply")));
         let coarse = length(&run.stage_folder("coarse").join("points.bin"));
-        let base = 160 << 20;
+        let base = 176 << 20;
         let (mut secs, mut judged) = (2.0, 0);
         if !config.truth.is_empty() {
             let known = Path::new(&config.truth);
             let truth = length(known) + length(&known.join("scene.ply")) + length(&known.join("visible.ply"));
-            judged = 17 * buildings + 10 * truth;
+            judged = 6 * buildings / 5 + 6 * truth + BYTES_PER_SAMPLE * sample_count(run, config, buildings)?;
             secs += 5.0 + buildings as f64 * 1e-6;
         }
-        let evidence_bytes = base + 15 * city + 3 * coarse + judged;
+        // Trees are made of a part of the city at a time.
+        let evidence_bytes = base + 17 * city / 10 + 3 * coarse;
         let limit = match config.memory_limit.as_str() {
             "" => u64::MAX,
             given => parse_size(given)?,
@@ -185,9 +203,9 @@ impl Needs {
             secs += (6e-9 * f64::from(config.evidence.pairs) + 60e-9) * city as f64;
         }
         // The city is gone before the buildings are judged.
-        let drawn = base + 3 * coarse + judged.max(12 * city);
+        let drawn = base + 3 * coarse + judged.max(17 * city / 10);
         let with_distances = drawn <= limit && judged > 0;
-        let without = if with_distances { drawn } else { base + 3 * coarse + judged.max(4 * city) };
+        let without = if with_distances { drawn } else { base + 3 * coarse + judged.max(6 * city / 5) };
         let memory_bytes = if with_evidence { evidence_bytes.max(without) } else { without };
         let cost = Cost { memory_bytes, disk_bytes: 1 << 20, cpu_secs: secs };
         Ok(Self { cost, with_evidence, evidence_bytes, with_distances })

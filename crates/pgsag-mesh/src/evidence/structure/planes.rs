@@ -1,11 +1,14 @@
 //! Planes of a mesh: pieces that grow over faces of like normals, fitted without their outliers.
 
+use std::collections::BTreeMap;
+
 use glam::DVec3;
 use pgsag_scene::Mesh;
 use pgsag_scene::frame::eigen::symmetric_eigen;
 use pgsag_scene::numbers::median;
 
 use super::StructureOptions;
+use crate::components::pick_faces;
 
 /// Faces farther from the fitted plane than so many of its robust standard deviations do not pull at it.
 const MAX_SIGMAS: f64 = 2.5;
@@ -37,67 +40,76 @@ struct Facet {
     area: f64,
 }
 
-/// The planes of building surface, or of all surface where the mesh knows no building, in the order in which they grew:
-/// the flattest begin.
+/// The planes of building surface, building by building, or of all surface where the mesh knows no building; of each in
+/// the order in which they grew: the flattest begin.
 #[must_use]
 pub fn planes(mesh: &Mesh, up: DVec3, gsd: f64, options: &StructureOptions) -> Vec<Plane> {
-    let building = |face: usize| mesh.buildings.get(face).copied().unwrap_or(0);
-    let is_any = (0..mesh.faces.len()).any(|face| building(face) != 0);
-    let faces: Vec<u32> =
-        (0..mesh.faces.len() as u32).filter(|face| !is_any || building(*face as usize) != 0).collect();
-    let around = Around::new(mesh, &faces);
-    let (facets, order) = smooth(mesh, &faces, &around);
+    let mut buildings: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (face, building) in mesh.buildings.iter().enumerate().filter(|(_, building)| **building != 0) {
+        buildings.entry(*building).or_default().push(face as u32);
+    }
+    if buildings.is_empty() {
+        return planes_of(0, mesh, up, gsd, options);
+    }
+    let mut renamed = vec![u32::MAX; mesh.vertices.len()];
+    let mut found = Vec::new();
+    for (building, faces) in buildings {
+        found.extend(planes_of(building, &pick_faces(mesh, faces, &mut renamed), up, gsd, options));
+    }
+    found
+}
+
+fn planes_of(building: u32, mesh: &Mesh, up: DVec3, gsd: f64, options: &StructureOptions) -> Vec<Plane> {
+    let around = Around::new(mesh);
+    let (facets, order) = smooth(mesh, &around);
     let (min_cos, max_off) = (libm::cos(options.max_turn_deg.to_radians()), options.max_off_gsd * gsd);
     let min_area = (options.min_side_gsd * gsd).powi(2);
-    let mut owner = vec![NONE; faces.len()];
+    let mut owner = vec![NONE; facets.len()];
     let mut found = Vec::new();
     for (number, start) in order.into_iter().enumerate() {
         if owner[start as usize] != NONE {
             continue;
         }
-        let of = building(faces[start as usize] as usize);
-        let belongs = |at: u32| building(faces[at as usize] as usize) == of;
-        let piece = grow(start, number as u32, &facets, &around, &mut owner, [min_cos, max_off], belongs);
+        let piece = grow(start, number as u32, &facets, &around, &mut owner, [min_cos, max_off]);
         let area: f64 = piece.iter().map(|at| facets[*at as usize].area).sum();
         if area >= min_area
             && let Some((normal, rms)) = fitted(&piece, &facets)
         {
-            found.push(Plane { building: of, area, rms, level: normal.dot(up.normalize_or(DVec3::Z)).abs() });
+            found.push(Plane { building, area, rms, level: normal.dot(up.normalize_or(DVec3::Z)).abs() });
         }
     }
     found
 }
 
-/// The faces at every vertex, and the vertices of every face; faces by their place in the list.
+/// The faces at every vertex.
 struct Around<'a> {
     mesh: &'a Mesh,
-    faces: &'a [u32],
     starts: Vec<u32>,
     at: Vec<u32>,
 }
 
 impl<'a> Around<'a> {
-    fn new(mesh: &'a Mesh, faces: &'a [u32]) -> Self {
+    fn new(mesh: &'a Mesh) -> Self {
         let mut starts = vec![0_u32; mesh.vertices.len() + 1];
-        for vertex in faces.iter().flat_map(|face| mesh.faces[*face as usize]) {
-            starts[vertex as usize + 1] += 1;
+        for vertex in mesh.faces.iter().flatten() {
+            starts[*vertex as usize + 1] += 1;
         }
         for vertex in 0..mesh.vertices.len() {
             starts[vertex + 1] += starts[vertex];
         }
         let mut next = starts.clone();
-        let mut at = vec![0; 3 * faces.len()];
-        for (place, face) in faces.iter().enumerate() {
-            for vertex in mesh.faces[*face as usize] {
-                at[next[vertex as usize] as usize] = place as u32;
-                next[vertex as usize] += 1;
+        let mut at = vec![0; 3 * mesh.faces.len()];
+        for (face, corners) in mesh.faces.iter().enumerate() {
+            for vertex in corners {
+                at[next[*vertex as usize] as usize] = face as u32;
+                next[*vertex as usize] += 1;
             }
         }
-        Self { mesh, faces, starts, at }
+        Self { mesh, starts, at }
     }
 
-    fn vertices(&self, place: u32) -> [u32; 3] {
-        self.mesh.faces[self.faces[place as usize] as usize]
+    fn vertices(&self, face: u32) -> [u32; 3] {
+        self.mesh.faces[face as usize]
     }
 
     fn faces_at(&self, vertex: u32) -> &[u32] {
@@ -106,16 +118,15 @@ impl<'a> Around<'a> {
 }
 
 /// Facets with averaged normals, and their order: those whose neighbours agree most come first.
-fn smooth(mesh: &Mesh, faces: &[u32], around: &Around<'_>) -> (Vec<Facet>, Vec<u32>) {
-    let mut facets: Vec<Facet> = faces
-        .iter()
+fn smooth(mesh: &Mesh, around: &Around<'_>) -> (Vec<Facet>, Vec<u32>) {
+    let mut facets: Vec<Facet> = (0..mesh.faces.len())
         .map(|face| {
-            let [a, b, c] = mesh.triangle(*face as usize).map(DVec3::from);
+            let [a, b, c] = mesh.triangle(face).map(DVec3::from);
             let across = (b - a).cross(c - a);
             Facet { middle: (a + b + c) / 3.0, normal: across.normalize_or_zero(), area: 0.5 * across.length() }
         })
         .collect();
-    let mut agreement = vec![0.0; faces.len()];
+    let mut agreement = vec![0.0; facets.len()];
     let mut at_vertex = vec![DVec3::ZERO; mesh.vertices.len()];
     for _ in 0..ROUNDS {
         for (vertex, sum) in at_vertex.iter_mut().enumerate() {
@@ -130,7 +141,7 @@ fn smooth(mesh: &Mesh, faces: &[u32], around: &Around<'_>) -> (Vec<Facet>, Vec<u
             facet.normal = mean.normalize_or_zero();
         }
     }
-    let mut order: Vec<u32> = (0..faces.len() as u32).collect();
+    let mut order: Vec<u32> = (0..facets.len() as u32).collect();
     order.sort_by(|a, b| agreement[*b as usize].total_cmp(&agreement[*a as usize]).then(a.cmp(b)));
     (facets, order)
 }
@@ -143,7 +154,6 @@ fn grow(
     around: &Around<'_>,
     owner: &mut [u32],
     [min_cos, max_off]: [f64; 2],
-    belongs: impl Fn(u32) -> bool,
 ) -> Vec<u32> {
     let (mut sum, mut middles, mut area) = (DVec3::ZERO, DVec3::ZERO, 0.0);
     let mut piece = vec![start];
@@ -160,8 +170,7 @@ fn grow(
                 let other = facets[at as usize];
                 let fits = owner[at as usize] == NONE
                     && other.normal.dot(normal) >= min_cos
-                    && (other.middle - middle).dot(normal).abs() <= max_off
-                    && belongs(at);
+                    && (other.middle - middle).dot(normal).abs() <= max_off;
                 if fits {
                     owner[at as usize] = number;
                     piece.push(at);

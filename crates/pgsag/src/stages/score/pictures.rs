@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result};
 use glam::DVec3;
 use pgsag_mesh::evidence::flow::Verdict;
 use pgsag_mesh::render::{NO_FACE, Visibility, visibility};
-use pgsag_mesh::score::{Nearest, distance_color};
+use pgsag_mesh::score::{distance_color, distances_from_mesh, distances_from_truth};
 use pgsag_scene::files::raster::encode_jpeg;
 use pgsag_scene::{Image, Mesh, Pinhole, RigidTransform};
 use serde::{Deserialize, Serialize};
@@ -96,19 +96,13 @@ impl Easel<'_, '_> {
     /// The mesh by its distance from the truth, and the truth by its distance from the mesh.
     pub(super) fn distances(&mut self, views: &[usize], mesh: &Mesh, truth: &TruthFile) -> Result<()> {
         let cap = CAP_M / self.imported.scene.frame.metres_per_unit.unwrap_or(1.0);
-        let (to_truth, to_mesh) = (Nearest::of_truth(&truth.as_truth())?, Nearest::of_mesh(mesh)?);
+        let to_truth = |places: &[DVec3]| Ok(distances_from_truth(&truth.as_truth(), places, cap)?);
+        let to_mesh = |places: &[DVec3]| Ok(distances_from_mesh(mesh, places, cap));
         for view in views {
             self.job.check()?;
             let camera = small(self.imported, *view);
             let pose = self.imported.scene.views[*view].camera_from_world;
-            let image = painted(
-                mesh,
-                &visibility(mesh, &camera, &pose),
-                &camera,
-                &pose,
-                |place| to_truth.distance(place, cap),
-                cap,
-            );
+            let image = painted(mesh, &visibility(mesh, &camera, &pose), &camera, &pose, to_truth, cap)?;
             let title = format!("surface by its distance from the truth: green 0, red {CAP_M} m and more");
             self.keep(*view, "accuracy", &title, &image)?;
             let (TruthFile::Folder { scene, .. } | TruthFile::Mesh(scene)) = truth else { continue };
@@ -120,7 +114,7 @@ impl Easel<'_, '_> {
                 .iter_mut()
                 .filter(|face| **face != NO_FACE && !is_asked(**face))
                 .for_each(|face| *face = NO_FACE);
-            let image = painted(scene, &seen, &camera, &pose, |place| to_mesh.distance(place, cap), cap);
+            let image = painted(scene, &seen, &camera, &pose, to_mesh, cap)?;
             let title = format!("truth by its distance from the surface: green 0, red {CAP_M} m and more");
             self.keep(*view, "completeness", &title, &image)?;
         }
@@ -134,27 +128,27 @@ fn painted(
     seen: &Visibility,
     camera: &Pinhole,
     pose: &RigidTransform,
-    distance: impl Fn(DVec3) -> f64 + Sync,
+    distances: impl Fn(&[DVec3]) -> Result<Vec<f64>>,
     cap: f64,
-) -> Image {
+) -> Result<Image> {
     use rayon::prelude::*;
     let mut image = Image::filled(camera.width, camera.height, NOTHING);
     let world_from_camera = pose.inverse();
     let width = camera.width as usize;
-    image.pixels.par_iter_mut().enumerate().for_each(|(at, pixel)| {
-        let face = seen.face.values[at];
-        if face == NO_FACE {
-            return;
-        }
+    let asked: Vec<usize> = (0..image.pixels.len()).filter(|at| seen.face.values[*at] != NO_FACE).collect();
+    let place = |at: &usize| {
         let ray = camera.ray((at % width) as f64 + 0.5, (at / width) as f64 + 0.5);
-        let place = world_from_camera.transform_point(ray * f64::from(seen.depth.values[at]));
+        world_from_camera.transform_point(ray * f64::from(seen.depth.values[*at]))
+    };
+    let places: Vec<DVec3> = asked.par_iter().map(place).collect();
+    for (at, distance) in asked.into_iter().zip(distances(&places)?) {
         // Shaded a little, so that the shape is seen.
-        let [a, b, c] = mesh.triangle(face as usize).map(DVec3::from);
-        let normal = world_from_camera.inverse().rotation * (b - a).cross(c - a).normalize_or_zero();
+        let [a, b, c] = mesh.triangle(seen.face.values[at] as usize).map(DVec3::from);
+        let normal = pose.rotation * (b - a).cross(c - a).normalize_or_zero();
         let light = 0.75 + 0.25 * normal.dot(DVec3::new(-0.45, -0.6, -0.66)).abs();
-        *pixel = distance_color(distance(place), cap).map(|v| (f64::from(v) * light) as u8);
-    });
-    image
+        image.pixels[at] = distance_color(distance, cap).map(|v| (f64::from(v) * light) as u8);
+    }
+    Ok(image)
 }
 
 /// Reads the list that a finished stage left.
