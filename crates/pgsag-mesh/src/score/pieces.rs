@@ -55,7 +55,11 @@ impl<'a> Search<'a> {
 
     fn run(mut self, reach: f64) -> Vec<Option<Hit>> {
         let asked: Vec<u32> = (0..self.points.len() as u32).filter(|at| self.point(*at).is_finite()).collect();
-        self.part(asked, None, reach);
+        let [low, high] = self.bounds(&asked);
+        let side = (high - low).length();
+        // A margin has to have a length, or it never grows.
+        let spare = if side > 0.0 && side.is_finite() { 1e-3 * side } else { 1.0 };
+        self.part(asked, None, if reach > 0.0 { reach } else { spare });
         self.found
     }
 
@@ -63,13 +67,14 @@ impl<'a> Search<'a> {
         self.points[at as usize]
     }
 
+    fn bounds(&self, asked: &[u32]) -> [DVec3; 2] {
+        let points = asked.iter().map(|at| self.point(*at));
+        points.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], point| [low.min(point), high.max(point)])
+    }
+
     /// Answers the points of `asked`; `faces` holds all that lie within `margin` of any of them, or is not known.
     fn part(&mut self, asked: Vec<u32>, faces: Option<&[u32]>, margin: f64) {
-        let whole = [DVec3::INFINITY, DVec3::NEG_INFINITY];
-        let [low, high] = asked.iter().fold(whole, |[low, high], at| {
-            let point = self.point(*at);
-            [low.min(point), high.max(point)]
-        });
+        let [low, high] = self.bounds(&asked);
         let near = self.near(faces, [low - margin, high + margin]);
         if near.len() > self.max_faces
             && asked.len() > MIN_POINTS
@@ -241,6 +246,9 @@ mod tests {
         mesh.faces.push([16, 17, 18]);
         let found = nearest(&mesh, &[DVec3::NAN, DVec3::splat(1e6)], 1.0, |_| f64::INFINITY);
         assert!(found[0].is_none() && found[1].is_some());
+        for reach in [0.0, f64::NAN, f64::INFINITY] {
+            assert!(nearest(&mesh, &[DVec3::splat(9.0)], reach, |_| f64::INFINITY)[0].is_some(), "{reach}");
+        }
         assert!(nearest(&Mesh::default(), &[DVec3::ZERO], 1.0, |_| f64::INFINITY)[0].is_none());
     }
 }
