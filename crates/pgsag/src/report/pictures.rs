@@ -1,8 +1,8 @@
 //! Pictures of a few views: the photograph, what the Gaussians show, normals, depth, and the mesh from the same place.
 
 use anyhow::Result;
-use pgsag_group::{Group, GroupView};
-use pgsag_mesh::render::{Paint, painted as painted_mesh, visibility};
+use pgsag_group::{Group, GroupKind, GroupView};
+use pgsag_mesh::render::{Paint, building_color, painted as painted_mesh, visibility};
 use pgsag_scene::files::raster::encode_jpeg;
 use pgsag_scene::{Image, Map, Mask, Mesh, Pinhole, PixelClass};
 use pgsag_splat::backend::{Backend, OptimizerState};
@@ -42,6 +42,8 @@ struct Canvas {
     color: Map<[f32; 3]>,
     normal: Map<[f32; 3]>,
     depth: Map<f32>,
+    /// Place of a group of buildings in the list and 1; 0: none.
+    group: Map<u32>,
 }
 
 /// A few views that some group was trained on, far apart.
@@ -70,8 +72,10 @@ pub fn shown(job: &Job<'_>, config: &Config, imported: &Imported, groups: &[Grou
         let pose = &imported.scene.views[*view].camera_from_world;
         let seen = visibility(city, &camera, pose);
         let surface = |paint| painted_mesh(city, &seen, &camera, pose, paint, NOTHING);
+        let groups = grouped(&photograph, &canvas.group);
         let pictures = [
             ("photograph", photograph),
+            ("groups", groups),
             ("Gaussians", colored(&canvas.color)),
             ("normals", normals(&canvas.normal)),
             ("depth", depths(&canvas.depth)),
@@ -125,11 +129,13 @@ impl engine::Work for Draw<'_, '_> {
                     color: Map::filled(width, height, NOTHING.map(|value| f32::from(value) / 255.0)),
                     normal: Map::filled(width, height, [0.0; 3]),
                     depth: Map::filled(width, height, 0.0),
+                    group: Map::filled(width, height, 0),
                 }
             })
             .collect();
         // Buildings come first in the list and last on the canvas.
-        for group in self.groups.iter().rev() {
+        for (place, group) in self.groups.iter().enumerate().rev() {
+            let number = if group.id.kind == GroupKind::Building { place as u32 + 1 } else { 0 };
             let trained: Trained = self.job.read_job("train", &group.id.to_string())?;
             let sh_degree = trained.summary.sh_degree;
             let on_device = backend.upload(&OptimizerState::fresh(trained.cloud))?;
@@ -146,6 +152,7 @@ impl engine::Work for Draw<'_, '_> {
                         canvas.color.values[at] = maps.color.values[at];
                         canvas.normal.values[at] = maps.normal.values[at];
                         canvas.depth.values[at] = maps.depth.values[at];
+                        canvas.group.values[at] = number;
                     }
                 }
             }
@@ -182,6 +189,16 @@ fn byte(value: f32) -> u8 {
 
 fn colored(color: &Map<[f32; 3]>) -> Image {
     painted(color, |rgb| rgb.map(byte))
+}
+
+/// The photograph in the colours of the groups of buildings; the rest of it is darkened.
+fn grouped(photograph: &Image, group: &Map<u32>) -> Image {
+    let blend = |(rgb, group): (&[u8; 3], &u32)| {
+        let color = if *group == 0 { NOTHING } else { building_color(*group) };
+        std::array::from_fn(|k| ((u16::from(rgb[k]) + u16::from(color[k])) / 2) as u8)
+    };
+    let pixels = photograph.pixels.iter().zip(&group.values).map(blend).collect();
+    Image { width: photograph.width, height: photograph.height, pixels }
 }
 
 /// Right is red, up is green, towards the camera is blue.
@@ -240,6 +257,16 @@ mod tests {
         for (plain, coded) in cases {
             assert_eq!(base64(plain.as_bytes()), coded);
         }
+    }
+
+    #[test]
+    fn groups_have_colours_of_their_own_and_the_rest_is_dark() {
+        let mut group = Map::filled(3, 1, 0);
+        group.set(1, 0, 1);
+        group.set(2, 0, 2);
+        let image = grouped(&Image::filled(3, 1, [200; 3]), &group);
+        assert!(image.at(0, 0).iter().all(|value| *value < 120), "{:?}", image.at(0, 0));
+        assert!(image.at(1, 0) != image.at(2, 0) && image.at(1, 0).iter().any(|value| *value > 180));
     }
 
     #[test]
