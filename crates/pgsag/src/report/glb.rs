@@ -39,7 +39,7 @@ impl Part<'_> {
 /// Writes the file of several parts about one origin, without a copy of them. `up_world` becomes glTF's y axis.
 ///
 /// # Errors
-/// What the writer says.
+/// What the writer says; [`io::ErrorKind::FileTooLarge`] beyond 4 GiB, before anything is written.
 pub fn encode(out: &mut impl Write, parts: &[Part<'_>], origin_world: DVec3, up_world: DVec3) -> io::Result<()> {
     let mut file = Layout::default();
     let parts: Vec<&Part<'_>> = parts.iter().filter(|part| part.faces().next().is_some()).collect();
@@ -73,10 +73,16 @@ pub fn encode(out: &mut impl Write, parts: &[Part<'_>], origin_world: DVec3, up_
     let total = 12 + 8 + text.len() + 8 + file.length;
     let words =
         |out: &mut dyn Write, words: &[u32]| words.iter().try_for_each(|word| out.write_all(&word.to_le_bytes()));
-    words(out, &[MAGIC, 2, total as u32, text.len() as u32, JSON_CHUNK])?;
+    words(out, &[MAGIC, 2, word(total)?, word(text.len())?, JSON_CHUNK])?;
     out.write_all(&text)?;
-    words(out, &[file.length as u32, BIN_CHUNK])?;
+    words(out, &[word(file.length)?, BIN_CHUNK])?;
     parts.iter().try_for_each(|part| write_values(out, part, origin_world))
+}
+
+/// A length as the file says it.
+fn word(length: usize) -> io::Result<u32> {
+    let too_large = |_| io::Error::new(io::ErrorKind::FileTooLarge, "a binary glTF holds at most 4 GiB");
+    u32::try_from(length).map_err(too_large)
 }
 
 /// Positions, colours and indices, as [`Layout`] has them.
@@ -175,6 +181,7 @@ mod tests {
         assert_eq!(binary + word(20 + word(12)), bytes.len());
         let number = |at: usize| f32::from_bits(word(binary + 4 * at) as u32);
         assert_eq!((0..9).map(number).collect::<Vec<_>>(), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
+        assert_eq!(super::word(1 << 32).map_err(|error| error.kind()), Err(io::ErrorKind::FileTooLarge));
         assert_eq!((12..15).map(|at| word(binary + 4 * at)).collect::<Vec<_>>(), [0, 1, 2]);
     }
 }

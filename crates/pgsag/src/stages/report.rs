@@ -63,7 +63,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let lengths = Lengths::of(&imported.scene);
     write_json(&job.output().join("buildings.geojson"), &footprints(&city, &list, &config, &lengths))?;
     let shown = report::pictures::shown(job, &config, &imported, &groups, &city)?;
-    write_viewable(&job.output().join("city.glb"), &city, &imported.scene.frame, &groups)?;
+    write_viewable(job, &city, &imported.scene.frame, &groups)?;
     let Scored(score) = job.read("score")?;
     let evidence = read_evidence(&job.input("score"))?;
     let face_count = city.faces.len();
@@ -125,7 +125,8 @@ fn footprints(city: &Mesh, list: &[Building], config: &Config, lengths: &Lengths
 }
 
 /// Buildings and background as two objects about the first group's origin.
-fn write_viewable(path: &Path, city: &Mesh, frame: &Frame, groups: &[Group]) -> Result<()> {
+fn write_viewable(job: &Job<'_>, city: &Mesh, frame: &Frame, groups: &[Group]) -> Result<()> {
+    let path = &job.output().join("city.glb");
     let origin = groups.first().map_or(DVec3::ZERO, |group| DVec3::from_array(group.origin_world));
     let is_building = |face: usize| city.buildings.get(face).is_some_and(|building| *building != 0);
     let is_other = |face: usize| !is_building(face);
@@ -136,7 +137,13 @@ fn write_viewable(path: &Path, city: &Mesh, frame: &Frame, groups: &[Group]) -> 
         report::glb::encode(&mut out, &parts, origin, frame.up_world)?;
         std::io::Write::flush(&mut out)
     };
-    encode().with_context(|| format!("{}", path.display()))
+    match encode() {
+        Err(error) if error.kind() == std::io::ErrorKind::FileTooLarge => {
+            job.warn(format!("city.glb is left out: {error}; city.ply has everything"));
+            fs::remove_file(path).with_context(|| format!("{}", path.display()))
+        }
+        done => done.with_context(|| format!("{}", path.display())),
+    }
 }
 
 /// The same file under a second name, where the disk can do that.
