@@ -65,6 +65,21 @@ pub struct TrainingView {
     pub inner_edges: Option<Map<bool>>,
 }
 
+impl TrainingView {
+    /// `[H, W]` mean absolute difference over the channels between a render, as `exposure` has it, and the photograph, of
+    /// 0 to 1; `None` where nothing is trained.
+    #[must_use]
+    pub fn errors(&self, rendered: &[[f32; 3]], exposure: &Exposure) -> Vec<Option<f32>> {
+        let error = |at: usize, photographed: [u8; 3]| {
+            let exposed = |k: usize| exposure.gain[k] * rendered[at][k] + exposure.bias[k];
+            (0..3).map(|k| (exposed(k) - f32::from(photographed[k]) / 255.0).abs()).sum::<f32>() / 3.0
+        };
+        let is_active = |at: usize| self.mask.as_ref().is_none_or(|mask| mask.classes[at].is_active());
+        let pixels = self.image.pixels.iter().enumerate();
+        pixels.map(|(at, photographed)| is_active(at).then(|| error(at, *photographed))).collect()
+    }
+}
+
 /// Where blending begins and ends; every backend takes them in its constructor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {

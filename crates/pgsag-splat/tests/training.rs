@@ -165,6 +165,7 @@ fn multiplied(views: &[TrainingView]) -> Vec<u32> {
         statistics: &backend.statistics(&mut on_device, true).expect("memory"),
         footprints: &footprints(&cloud.means, &cameras),
         cull: false,
+        agreement: None,
         seed: 0,
         iteration: 0,
     };

@@ -10,6 +10,9 @@ use crate::cloud::SplatCloud;
 use crate::train::footprint::{Footprint, REFERENCE_FOCAL_PX};
 use crate::train::stream;
 
+pub use agreement::Agreement;
+pub(in crate::train) use agreement::VIEWS as AGREEMENT_VIEWS;
+
 /// When and how Gaussians multiply and die.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -40,6 +43,11 @@ pub struct DensityOptions {
     pub prune_size: f32,
     /// Gaussians fainter than this die. 3DGS: 0.005, PG-SAG: 0.05.
     pub opacity_cull: f32,
+    /// What dies as faint is born again on Gaussians drawn by opacity (3DGS-MCMC's relocation).
+    pub relocate: bool,
+    /// Only Gaussians multiply at which at least this share of ten drawn views that see them show an error (FastGS);
+    /// 0: no view is asked.
+    pub agreement: f32,
     /// A decision adds at most this share of the Gaussians, those with the largest gradients: while colours are still
     /// unlearnt nearly all of them ask. 3DGS-MCMC: 0.05.
     pub max_growth: f32,
@@ -71,6 +79,8 @@ impl Default for DensityOptions {
             min_size_px: 0.7,
             prune_size: 100.0,
             opacity_cull: 0.02,
+            relocate: false,
+            agreement: 0.0,
             max_growth: 0.05,
             max_gaussians: 6_000_000,
             trim_interval: 1000,
@@ -101,6 +111,8 @@ pub struct DensityInput<'a> {
     pub footprints: &'a [Footprint],
     /// Whether faint Gaussians may die now.
     pub cull: bool,
+    /// Where views show errors; `None`: every Gaussian may multiply.
+    pub agreement: Option<&'a Agreement>,
     /// With `iteration` and the index it decides where children appear.
     pub seed: u64,
     /// Iteration in progress.
@@ -136,6 +148,12 @@ pub fn plan_density(input: &DensityInput<'_>, options: &DensityOptions) -> Densi
         wishes.sort_unstable_by_key(|wish| wish.0);
     }
     let mut births = Vec::with_capacity(2 * wishes.len());
+    if options.relocate {
+        let mut busy = vec![false; count];
+        wishes.iter().for_each(|wish| busy[wish.0] = true);
+        let faint = (0..count).filter(|&i| is_faint(input, i, options)).count();
+        births.extend(relocate::relocations(input, faint, &mut dead, &busy));
+    }
     for &(i, growth, _) in &wishes {
         let mut random = stream(input.seed, input.iteration, i as u64);
         let (children, shift) = match growth {
@@ -176,10 +194,14 @@ fn opacity(logit: f32) -> f32 {
     1.0 / (1.0 + libm::expf(-logit))
 }
 
+fn is_faint(input: &DensityInput<'_>, i: usize, options: &DensityOptions) -> bool {
+    input.cull && opacity(input.cloud.opacity_logits[i]) < options.opacity_cull
+}
+
 fn is_dead(input: &DensityInput<'_>, i: usize, options: &DensityOptions) -> bool {
-    let faint = input.cull && opacity(input.cloud.opacity_logits[i]) < options.opacity_cull;
     let footprint = &input.footprints[i];
-    faint || (footprint.focal_px > 0.0 && footprint.reference_px(max_scale(input.cloud, i)) > options.prune_size)
+    is_faint(input, i, options)
+        || (footprint.focal_px > 0.0 && footprint.reference_px(max_scale(input.cloud, i)) > options.prune_size)
 }
 
 /// (index, growth, gradient over threshold) of every Gaussian that wants to multiply, ascending by index.
@@ -189,7 +211,8 @@ fn growth_wishes(input: &DensityInput<'_>, dead: &[bool], options: &DensityOptio
     for i in 0..input.cloud.len() {
         let visible = input.statistics.visible_count[i];
         let footprint = &input.footprints[i];
-        if dead[i] || visible == 0 || footprint.focal_px == 0.0 {
+        let is_refused = input.agreement.is_some_and(|views| !views.is_wrong(i, options.agreement));
+        if dead[i] || is_refused || visible == 0 || footprint.focal_px == 0.0 {
             continue;
         }
         let scale = max_scale(input.cloud, i);
@@ -226,5 +249,7 @@ fn sample_offset(cloud: &SplatCloud, i: usize, random: &mut pgsag_scene::numbers
     (rotation * glam::DVec3::from_array(local)).to_array().map(|v| v as f32)
 }
 
+mod agreement;
+mod relocate;
 #[cfg(test)]
 mod tests;

@@ -176,6 +176,7 @@ impl TrainOptions {
             ("density.from", self.density.from),
             ("density.until", self.density.until),
             ("density.opacity_cull", self.density.opacity_cull),
+            ("density.agreement", self.density.agreement),
         ];
         let bad_positive = positive.iter().find(|(_, v)| !(v.is_finite() && *v > 0.0)).map(|(k, v)| (*k, *v));
         let bad_share = shares.iter().find(|(_, v)| !(0.0..=1.0).contains(v)).map(|(k, v)| (*k, f64::from(*v)));

@@ -10,7 +10,7 @@ use crate::backend::{Backend, BackendError, Exposure, LossValues, LossWeights, O
 use crate::backend::{DensityPlan, TrainingView, ViewCamera};
 use crate::cloud::{SplatCloud, curve_order};
 use crate::train::checkpoint::{Checkpoint, fingerprint};
-use crate::train::density::{DensityInput, plan_density, plan_trim};
+use crate::train::density::{AGREEMENT_VIEWS, Agreement, DensityInput, plan_density, plan_trim};
 use crate::train::exposure::Exposures;
 use crate::train::footprint::{footprints, locate, medians};
 use crate::train::neighbors::Neighbor;
@@ -404,11 +404,13 @@ impl<'a, B: Backend> Trainer<'a, B> {
             let state = self.backend.download(&self.cloud)?;
             let mut plan = DensityPlan { keep: (0..state.cloud.len() as u32).collect(), ..DensityPlan::default() };
             if densify {
+                let agreement = self.agreement(&state.cloud.means)?;
                 let input = DensityInput {
                     cloud: &state.cloud,
                     statistics: &state.statistics,
                     footprints: &footprints(&state.cloud.means, &self.cameras),
                     cull: self.options.culls_at(iteration, self.views.len()),
+                    agreement: agreement.as_ref(),
                     seed: self.seed,
                     iteration,
                 };
@@ -426,6 +428,26 @@ impl<'a, B: Backend> Trainer<'a, B> {
             self.trim()?;
         }
         Ok(())
+    }
+
+    /// Where drawn views show errors, if births depend on it.
+    fn agreement(&mut self, means: &[[f32; 3]]) -> Result<Option<Agreement>> {
+        if self.options.density.agreement == 0.0 {
+            return Ok(None);
+        }
+        let mut agreement = Agreement::of(means.len());
+        let sh_degree = self.options.sh_degree_at(self.iteration, self.sh_degree);
+        let options = RenderOptions { planes: true, sh_degree, ..RenderOptions::default() };
+        let mut random = stream(self.seed, self.iteration, 0xfa57);
+        for _ in 0..AGREEMENT_VIEWS {
+            let index = random.below(self.views.len());
+            let prepared = self.prepared(index)?;
+            let render = self.backend.render(&self.cloud, &self.cameras[index], Some(&prepared.view), &options)?;
+            let maps = self.backend.read(&render)?;
+            let error = self.views.view(index)?.errors(&maps.color.values, &self.exposures.of(index));
+            agreement.note(means, &self.cameras[index], &maps.depth.values, &error);
+        }
+        Ok(Some(agreement))
     }
 
     /// Renders every view and removes what too few of them see (method.md 2.8, 8.8).

@@ -23,8 +23,15 @@ fn gathered(cloud: &SplatCloud, camera: &ViewCamera) -> DensityStatistics {
 fn plan(cloud: &SplatCloud, camera: &ViewCamera) -> DensityPlan {
     let statistics = gathered(cloud, camera);
     let footprints = footprints(&cloud.means, std::slice::from_ref(camera));
-    let input =
-        DensityInput { cloud, statistics: &statistics, footprints: &footprints, cull: true, seed: 1, iteration: 100 };
+    let input = DensityInput {
+        cloud,
+        statistics: &statistics,
+        footprints: &footprints,
+        cull: true,
+        agreement: None,
+        seed: 1,
+        iteration: 100,
+    };
     plan_density(&input, &DensityOptions { gradient: 0.1, max_growth: 1.0, ..DensityOptions::default() })
 }
 
@@ -71,7 +78,10 @@ fn decide(
     (cloud, statistics, footprints): &(SplatCloud, DensityStatistics, Vec<Footprint>),
     options: &DensityOptions,
 ) -> DensityPlan {
-    plan_density(&DensityInput { cloud, statistics, footprints, cull: true, seed: 3, iteration: 7 }, options)
+    plan_density(
+        &DensityInput { cloud, statistics, footprints, cull: true, agreement: None, seed: 3, iteration: 7 },
+        options,
+    )
 }
 
 #[test]
@@ -105,6 +115,7 @@ fn faint_and_huge_ones_die_unless_a_reset_is_fresh() {
         statistics: &statistics,
         footprints: &footprints,
         cull: true,
+        agreement: None,
         seed: 0,
         iteration: 1,
     };
@@ -148,4 +159,100 @@ fn trim_asks_only_of_views_that_could_see() {
     let options = DensityOptions::default();
     let trimmed = plan_trim(&[2, 1, 1, 0, 0], &[9, 9, 1, 1, 0], &options);
     assert_eq!(trimmed.keep, vec![0, 2]);
+}
+
+#[test]
+fn copies_of_one_gaussian_look_as_it_did() {
+    for (opacity, copies) in [(0.3, 2), (0.9, 3), (0.99, 10), (0.6, 1), (0.999, 51)] {
+        let (each, factor) = relocate::shared(opacity, copies);
+        assert!((1.0 - (1.0 - each).powi(copies as i32) - opacity).abs() < 1e-12, "{opacity} {copies}: {each}");
+        // Sum over a line, of deviation 1: the copies' 1 - (1 - o' g)^N against the one's o g.
+        let step = 1e-3;
+        let (mut one, mut many) = (0.0, 0.0);
+        for k in -12_000..=12_000 {
+            let x = f64::from(k) * step;
+            one += opacity * (-0.5 * x * x).exp() * step;
+            many += (1.0 - (1.0 - each * (-0.5 * (x / factor).powi(2)).exp()).powi(copies as i32)) * step;
+        }
+        assert!((one - many).abs() < 1e-6 * one, "{opacity} {copies}: {one} and {many}");
+    }
+}
+
+#[test]
+fn the_faint_are_born_again_where_opacity_is() {
+    let (mut cloud, statistics, footprints) = three([0.0; 3], [2.0; 3]);
+    cloud.opacity_logits = vec![-8.0, 2.0, -3.0];
+    let input = DensityInput {
+        cloud: &cloud,
+        statistics: &statistics,
+        footprints: &footprints,
+        cull: true,
+        agreement: None,
+        seed: 7,
+        iteration: 3,
+    };
+    let options = DensityOptions { gradient: 1.0, relocate: true, ..DensityOptions::default() };
+    let plan = plan_density(&input, &options);
+    assert_eq!(plan.keep.len() + plan.births.len(), 3, "nothing is lost: {plan:?}");
+    assert!(!plan.keep.contains(&0) && plan.births.len() == 2);
+    let parent = plan.births[0].parent;
+    assert!(parent != 0 && !plan.keep.contains(&parent) && plan.births.iter().all(|birth| birth.parent == parent));
+    let spare = DensityInput { cull: false, ..input };
+    assert_eq!(plan_density(&spare, &options).keep, [0, 1, 2], "after a reset nobody dies");
+    let drawn = |seed| plan_density(&DensityInput { seed, ..input }, &options).births[0].parent;
+    let by_opacity = (0..400).filter(|seed| drawn(*seed) == 1).count();
+    // 0.881 against 0.047.
+    assert!((360..400).contains(&by_opacity), "{by_opacity} of 400");
+}
+
+#[test]
+fn births_wait_for_views_that_show_an_error() {
+    let cloud = cloud_on_plane(2, 1.0);
+    let camera = camera_above([0.0, 0.0], 5.0, 100);
+    let pixel = |i: usize| {
+        let (_, at) = crate::train::footprint::locate(&camera, cloud.means[i]).expect("below the camera");
+        at[1] as usize * 100 + at[0] as usize
+    };
+    let mut agreement = Agreement::of(cloud.len());
+    let view = |errors: [Option<f32>; 4], depth: f32| {
+        let mut error = vec![Some(0.1); 100 * 100];
+        (0..4).for_each(|i| error[pixel(i)] = errors[i]);
+        error[0] = Some(1.1);
+        (vec![depth; 100 * 100], error)
+    };
+    // Gaussian 0 is wrong in both views, 1 in one, 2 in none, 3 where nothing is trained.
+    for errors in [[Some(0.3), Some(0.3), Some(0.19), None], [Some(0.3), Some(0.1), Some(0.1), None]] {
+        let (depth, error) = view(errors, 5.0);
+        agreement.note(&cloud.means, &camera, &depth, &error);
+    }
+    // Another surface hides them all here.
+    let (depth, error) = view([Some(1.0); 4], 4.0);
+    agreement.note(&cloud.means, &camera, &depth, &error);
+    let wrong = |share| [0, 1, 2, 3].map(|i| agreement.is_wrong(i, share));
+    assert_eq!(wrong(0.6), [true, false, false, false]);
+    assert_eq!(wrong(0.5), [true, true, false, false]);
+
+    let statistics = DensityStatistics {
+        gradient: vec![1e9; 4],
+        absolute_gradient: vec![1e9; 4],
+        visible_count: vec![1; 4],
+        radius_px: vec![1.0; 4],
+        observed_count: vec![1; 4],
+    };
+    let prints = footprints(&cloud.means, std::slice::from_ref(&camera));
+    let input = DensityInput {
+        cloud: &cloud,
+        statistics: &statistics,
+        footprints: &prints,
+        cull: false,
+        agreement: Some(&agreement),
+        seed: 1,
+        iteration: 100,
+    };
+    let options = DensityOptions { agreement: 0.5, max_growth: 1.0, ..DensityOptions::default() };
+    let mut parents: Vec<u32> = plan_density(&input, &options).births.iter().map(|birth| birth.parent).collect();
+    parents.dedup();
+    assert_eq!(parents, [0, 1]);
+    let all = DensityInput { agreement: None, ..input };
+    assert!(plan_density(&all, &options).births.iter().any(|birth| birth.parent == 3));
 }
