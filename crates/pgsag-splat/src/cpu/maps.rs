@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::{
     backward::LEADING_PLANES,
     bins::Bins,
-    lanes::{BLOCK, BLOCKS, LANES, Line, TILE},
+    lanes::{BLOCK, BLOCKS, Line, TILE},
     layout::{Layout, place},
     render::{CpuRender, FEATURES_MAX},
 };
@@ -82,12 +82,30 @@ pub(crate) fn slots_of_parts(layout: &Layout, width: u32) -> Vec<Range<usize>> {
     slots
 }
 
+/// What is drawn of a part before it is written, while it is in cache.
+#[derive(Default)]
+pub(crate) struct Drawing {
+    /// `[tile][block][F + 1]` features and opacity.
+    pub(crate) planes: Vec<Line>,
+    /// `[tile][block]`, or empty.
+    pub(crate) load: Vec<Line>,
+}
+
+impl Drawing {
+    /// Empty, for so many tiles with `stride` planes.
+    #[inline(always)]
+    pub(crate) fn clear(&mut self, tiles: usize, stride: usize, load: bool) {
+        self.planes.clear();
+        self.planes.resize(tiles * BLOCKS * stride, Line::ZERO);
+        self.load.clear();
+        self.load.resize(if load { tiles * BLOCKS } else { 0 }, Line::ZERO);
+    }
+}
+
 /// Some tiles beside one another, and what is written for them.
 pub(crate) struct Part<'a> {
     /// Drawn tiles.
     pub(crate) slots: Range<usize>,
-    /// `[tile][block][F + 1]`
-    pub(crate) planes: &'a mut [Line],
     /// Its rows in every map, map by map.
     rows: Vec<&'a mut [f32]>,
     /// `[pairs]`
@@ -97,23 +115,20 @@ pub(crate) struct Part<'a> {
 }
 
 impl<'a> Part<'a> {
-    /// Cuts `maps`, `planes` of all tiles (`stride` lines a block), and `blocks` and `seen` of all pairs, into parts that have
-    /// drawn tiles.
+    /// Cuts `maps`, and `blocks` and `seen` of all pairs, into parts that have drawn tiles.
     pub(crate) fn all(
         (layout, bins): (&Layout, &Bins),
         maps: Vec<&'a mut [f32]>,
-        (mut planes, stride): (&'a mut [Line], usize),
         [mut blocks, mut seen]: [&'a mut [u16]; 2],
     ) -> Vec<Self> {
         let across = layout.columns.div_ceil(PART) as usize;
         let mut parts = Vec::with_capacity(across * layout.rows as usize);
         for slots in slots_of_parts(layout, PART) {
             let pairs = (bins.starts[slots.end] - bins.starts[slots.start]) as usize;
-            let (own_planes, own) = (planes.split_at_mut(slots.len() * BLOCKS * stride), blocks.split_at_mut(pairs));
-            let own_seen = seen.split_at_mut(pairs.min(seen.len()));
-            (planes, blocks, seen) = (own_planes.1, own.1, own_seen.1);
+            let (own, own_seen) = (blocks.split_at_mut(pairs), seen.split_at_mut(pairs.min(seen.len())));
+            (blocks, seen) = (own.1, own_seen.1);
             let rows = Vec::with_capacity(maps.len() * TILE);
-            parts.push(Part { slots, planes: own_planes.0, rows, blocks: own.0, seen: own_seen.0 });
+            parts.push(Part { slots, rows, blocks: own.0, seen: own_seen.0 });
         }
         for map in maps {
             for (y, row) in map.chunks_exact_mut(layout.width as usize).enumerate() {
@@ -125,14 +140,15 @@ impl<'a> Part<'a> {
         parts
     }
 
-    /// Writes its planes to the first maps of `maps`, and `load` (`[tile][block]`) to the last where there is one more. A row of
-    /// all tiles at a time, so that memory is written in order. Inlined into vector code.
+    /// Writes the planes to the first maps of `maps`, and the load to the last where there is one more. A row of all tiles at
+    /// a time, so that memory is written in order. Inlined into vector code.
     #[inline(always)]
-    pub(crate) fn put(&mut self, layout: &Layout, maps: usize, load: &[Line]) {
+    pub(crate) fn put(&mut self, layout: &Layout, maps: usize, drawing: &Drawing) {
         let height = self.rows.len() / maps;
-        let stride = self.planes.len() / (self.slots.len() * BLOCKS);
+        let stride = drawing.planes.len() / (self.slots.len() * BLOCKS);
         for (plane, rows) in self.rows.chunks_exact_mut(height).enumerate() {
-            let (lines, stride, plane) = if plane < stride { (&*self.planes, stride, plane) } else { (load, 1, 0) };
+            let (lines, stride, plane) =
+                if plane < stride { (&drawing.planes, stride, plane) } else { (&drawing.load, 1, 0) };
             for (y, row) in rows.iter_mut().enumerate() {
                 for (lines, slot) in lines.chunks_exact(BLOCKS * stride).zip(self.slots.clone()) {
                     let x = (layout.tiles[slot] % layout.columns % PART) as usize * TILE;
@@ -164,6 +180,8 @@ pub(crate) struct PartGradients {
     pub(crate) planes: Vec<Line>,
     /// `[tiles * BLOCKS]`
     pub(crate) load: Vec<Line>,
+    /// One row of rests.
+    rests: Vec<f32>,
 }
 
 impl PartGradients {
@@ -179,31 +197,18 @@ impl PartGradients {
         self.planes.resize(slots.len() * BLOCKS * stride, Line::ZERO);
         self.load.resize(slots.len() * BLOCKS, Line::ZERO);
         let tiles = Tiles { layout, tiles: &layout.tiles[slots.clone()] };
+        let rows = &render.buffers.rows;
+        let mut terms: [(&[f32], &[f32]); FEATURES_MAX + 1] = [(&[], &[]); FEATURES_MAX + 1];
+        terms[0] = (&gradients.opacity, rows.map(&features, OPACITY));
         tiles.take(&mut self.planes, (stride, 1), &gradients.opacity);
         for (plane, at) in features.clone().enumerate() {
+            terms[1 + plane] = (maps[at], rows.map(&features, at));
             tiles.take(&mut self.planes, (stride, LEADING_PLANES + plane), maps[at]);
         }
+        tiles.take_rests(&mut self.planes, stride, &terms, &mut self.rests);
         if !gradients.load.is_empty() {
             tiles.take(&mut self.load, (1, 0), &gradients.load);
         }
-        let drawn = (features.len() + 1) * BLOCKS;
-        rests(&mut self.planes, &render.buffers.planes[slots.start * drawn..slots.end * drawn], features.len());
-    }
-}
-
-/// The first plane of every block: Σ ĝ C over the features and the opacity.
-#[inline(always)]
-fn rests(out: &mut [Line], drawn: &[Line], features: usize) {
-    for (gradients, drawn) in out.chunks_exact_mut(LEADING_PLANES + features).zip(drawn.chunks_exact(features + 1)) {
-        let mut rest = [0.0; LANES];
-        for plane in 0..=features {
-            // The opacity is the last plane that is drawn and the first that has a gradient.
-            let value = if plane == 0 { &drawn[features] } else { &drawn[plane - 1] };
-            for lane in 0..LANES {
-                rest[lane] += gradients[plane + 1].0[lane] * value.0[lane];
-            }
-        }
-        gradients[0] = Line(rest);
     }
 }
 
@@ -217,19 +222,57 @@ impl Tiles<'_> {
     /// Copies one row-major map into one plane of each tile with `stride` lines a block; an empty map is 0.
     #[inline(always)]
     fn take(&self, lines: &mut [Line], (stride, plane): (usize, usize), map: &[f32]) {
-        let (width, height) = (self.layout.width as usize, self.layout.height as usize);
-        let (_, top) = self.layout.corner(self.tiles[0]);
+        self.clear_border(lines, (stride, plane), map.is_empty());
+        for (y, row) in
+            map.chunks_exact(self.layout.width as usize).skip(self.columns_and_top().1).take(TILE).enumerate()
+        {
+            self.take_row(lines, (stride, plane), y, row);
+        }
+    }
+
+    /// The first plane of every block: Σ ĝ C over opacity and features, from their maps of ĝ (may be empty: 0) and C.
+    #[inline(always)]
+    fn take_rests(&self, lines: &mut [Line], stride: usize, terms: &[(&[f32], &[f32])], rests: &mut Vec<f32>) {
+        self.clear_border(lines, (stride, 0), false);
+        let (columns, top) = self.columns_and_top();
+        let width = self.layout.width as usize;
+        rests.resize(width, 0.0);
+        for y in 0..TILE.min(self.layout.height as usize - top) {
+            let own = (top + y) * width + columns.start..(top + y) * width + columns.end;
+            rests[columns.clone()].fill(0.0);
+            for (gradient, value) in terms.iter().filter(|(gradient, _)| !gradient.is_empty()) {
+                let products = gradient[own.clone()].iter().zip(&value[own.clone()]);
+                rests[columns.clone()].iter_mut().zip(products).for_each(|(rest, (g, c))| *rest += g * c);
+            }
+            self.take_row(lines, (stride, 0), y, rests);
+        }
+    }
+
+    /// Pixels from the first tile's left to the last one's right, and the tiles' top.
+    #[inline(always)]
+    fn columns_and_top(&self) -> (Range<usize>, usize) {
+        let (left, top) = self.layout.corner(self.tiles[0]);
         let (right, _) = self.layout.corner(self.tiles[self.tiles.len() - 1]);
-        if map.is_empty() || right as usize + TILE > width || top as usize + TILE > height {
+        (left as usize..(right as usize + TILE).min(self.layout.width as usize), top as usize)
+    }
+
+    /// Sets a plane to 0 where rows will not fill it.
+    #[inline(always)]
+    fn clear_border(&self, lines: &mut [Line], (stride, plane): (usize, usize), is_empty: bool) {
+        let (columns, top) = self.columns_and_top();
+        if is_empty || columns.len() % TILE != 0 || top + TILE > self.layout.height as usize {
             lines.iter_mut().skip(plane).step_by(stride).for_each(|line| *line = Line::ZERO);
         }
-        for (y, row) in map.chunks_exact(width).skip(top as usize).take(TILE).enumerate() {
-            for (&tile, lines) in self.tiles.iter().zip(lines.chunks_exact_mut(BLOCKS * stride)) {
-                let x = self.layout.corner(tile).0 as usize;
-                for (column, from) in row[x..width.min(x + TILE)].chunks(BLOCK).enumerate() {
-                    let (block, lane) = place(column * BLOCK, y);
-                    copy_run(&mut lines[block * stride + plane].0[lane..lane + BLOCK], from);
-                }
+    }
+
+    /// Copies row `y` of the tiles from a whole row of pixels.
+    #[inline(always)]
+    fn take_row(&self, lines: &mut [Line], (stride, plane): (usize, usize), y: usize, row: &[f32]) {
+        for (&tile, lines) in self.tiles.iter().zip(lines.chunks_exact_mut(BLOCKS * stride)) {
+            let x = self.layout.corner(tile).0 as usize;
+            for (column, from) in row[x..row.len().min(x + TILE)].chunks(BLOCK).enumerate() {
+                let (block, lane) = place(column * BLOCK, y);
+                copy_run(&mut lines[block * stride + plane].0[lane..lane + BLOCK], from);
             }
         }
     }

@@ -14,7 +14,7 @@ use super::{
     forward::{Blend, Cuts, Tile, blend},
     lanes::{BLOCKS, Line, at_level},
     layout::Layout,
-    maps::{Part, PartGradients, Rows, part_read, slots_of_parts},
+    maps::{Drawing, Part, PartGradients, Rows, part_read, slots_of_parts},
     project::Found,
 };
 use crate::backend::{RenderOptions, ViewCamera};
@@ -39,8 +39,6 @@ pub(crate) struct Buffers {
     pub(crate) bins: Bins,
     /// What was drawn, in rows.
     pub(crate) rows: Rows,
-    /// The same for the backward pass: `[tile][block][F + 1]` features and opacity sum.
-    pub(crate) planes: Vec<Line>,
     /// `[pairs]` blocks in which a pixel is covered.
     pub(crate) blocks: Vec<u16>,
     /// `[pairs]` blocks in which a pixel is covered in the first half of its light; empty without counts.
@@ -131,56 +129,50 @@ impl CpuRender {
         let pairs = self.buffers.bins.starts.last().map_or(0, |&end| end as usize);
         let counts = self.options.load || self.options.observe;
         let mut rows = std::mem::take(&mut self.buffers.rows);
-        let mut planes = std::mem::take(&mut self.buffers.planes);
         let mut blocks = std::mem::take(&mut self.buffers.blocks);
         let mut seen = std::mem::take(&mut self.buffers.seen);
         blocks.resize(pairs, 0);
         seen.clear();
         seen.resize(if counts { pairs } else { 0 }, 0);
         let maps = rows.drawn(&self.layout, &features, self.options.load);
-        let stride = features.len() + 1;
-        planes.resize(self.layout.tiles.len() * BLOCKS * stride, Line::ZERO);
         let of_pairs = [&mut blocks[..], &mut seen[..]];
-        let parts = Part::all((&self.layout, &self.buffers.bins), maps, (&mut planes, stride), of_pairs);
-        parts.into_par_iter().with_max_len(1).for_each_init(Vec::new, |load, mut part| {
+        let parts = Part::all((&self.layout, &self.buffers.bins), maps, of_pairs);
+        parts.into_par_iter().with_max_len(1).for_each_init(Drawing::default, |drawing, mut part| {
             at_level!(level, simd => match (features.start, features.end, counts) {
-                (0, COLORS, false) => self.blend_part::<_, 0, 3, false>(simd, &mut part, load),
-                (0, COLORS, true) => self.blend_part::<_, 0, 3, true>(simd, &mut part, load),
-                (COLORS, ..) => self.blend_part::<_, COLORS, 4, false>(simd, &mut part, load),
-                (_, _, false) => self.blend_part::<_, 0, 7, false>(simd, &mut part, load),
-                (_, _, true) => self.blend_part::<_, 0, 7, true>(simd, &mut part, load),
+                (0, COLORS, false) => self.blend_part::<_, 0, 3, false>(simd, &mut part, drawing),
+                (0, COLORS, true) => self.blend_part::<_, 0, 3, true>(simd, &mut part, drawing),
+                (COLORS, ..) => self.blend_part::<_, COLORS, 4, false>(simd, &mut part, drawing),
+                (_, _, false) => self.blend_part::<_, 0, 7, false>(simd, &mut part, drawing),
+                (_, _, true) => self.blend_part::<_, 0, 7, true>(simd, &mut part, drawing),
             });
         });
         self.buffers.rows = rows;
-        self.buffers.planes = planes;
         self.buffers.blocks = blocks;
         self.buffers.seen = seen;
     }
 
-    /// Blends one part; its load passes through `load`.
+    /// Blends one part.
     #[inline(always)]
     fn blend_part<S: Simd, const FIRST: usize, const F: usize, const COUNTS: bool>(
         &self,
         simd: S,
         part: &mut Part<'_>,
-        load: &mut Vec<Line>,
+        drawing: &mut Drawing,
     ) {
-        load.clear();
-        load.resize(if COUNTS { part.slots.len() * BLOCKS } else { 0 }, Line::ZERO);
+        drawing.clear(part.slots.len(), F + 1, COUNTS);
         let first_pair = self.buffers.bins.starts[part.slots.start] as usize;
         for (k, slot) in part.slots.clone().enumerate() {
             let list = self.buffers.bins.list(slot);
             let own = list.start - first_pair..list.end - first_pair;
             let mut counts = None;
             if COUNTS {
-                counts = Some((&mut load[k * BLOCKS..][..BLOCKS], &mut part.seen[own.clone()]));
+                counts = Some((&mut drawing.load[k * BLOCKS..][..BLOCKS], &mut part.seen[own.clone()]));
             }
-            let planes = &mut part.planes[k * BLOCKS * (F + 1)..][..BLOCKS * (F + 1)];
-            planes.fill(Line::ZERO);
+            let planes = &mut drawing.planes[k * BLOCKS * (F + 1)..][..BLOCKS * (F + 1)];
             let mut out = Blend { planes, blocks: &mut part.blocks[own], counts };
             blend::<S, FIRST, F, COUNTS>(simd, &self.tile(slot), &mut out);
         }
-        part.put(&self.layout, F + 1 + usize::from(self.options.load), load);
+        part.put(&self.layout, F + 1 + usize::from(self.options.load), drawing);
     }
 
     /// Walks all tiles back; `sums` become `[pairs]`, and with a load `plain` too, by place.
