@@ -40,7 +40,6 @@ use crate::cloud::SplatCloud;
 use crate::equations::{plane as planes, projection::Lens};
 use crate::lanes::{self, wide};
 use crate::losses::{Evaluation, Inputs, LossView, evaluate_into, spare::Spare};
-use bins::place::THICKNESS;
 use forward::Cuts;
 use gradient::Return;
 use layout::Layout;
@@ -165,15 +164,13 @@ impl Cpu {
 
     /// Mean smallest scale of the visible Gaussians in scene scales, and its gradient per Gaussian and scene unit.
     fn flatness(render: &CpuRender, scene_scale: f32) -> (f64, f64) {
-        let Buffers { bins, blocks, records, .. } = &render.buffers;
+        let Buffers { bins, blocks, .. } = &render.buffers;
         let sums: Vec<(f64, usize)> = bins
             .entries
             .par_chunks(FLATNESS_CHUNK)
             .map(|entries| {
                 let visible = entries.iter().filter(|entry| bins.any(entry, blocks));
-                visible.fold((0.0, 0), |(sum, count), entry| {
-                    (sum + f64::from(records[entry.gaussian as usize].0[THICKNESS]), count + 1)
-                })
+                visible.fold((0.0, 0), |(sum, count), entry| (sum + f64::from(entry.thickness), count + 1))
             })
             .collect();
         let (sum, count) = sums.into_iter().fold((0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));

@@ -14,7 +14,7 @@ use super::{
     sort::{Sorter, starts},
     wide::{Carried, Wide},
 };
-use crate::equations::Number;
+use crate::equations::{Number, algebra::each};
 
 /// Places in a record (a [`Line`] per Gaussian): all that blending reads. The exponent of alpha, base 2, at the pixel
 /// `(dx, dy)` from the centre is `XX dx² + XY dx dy + YY dy² + PEAK`.
@@ -37,7 +37,7 @@ pub(crate) mod place {
     pub(crate) const SLOPE_Y: usize = 13;
     /// dx of the largest exponent per dy.
     pub(crate) const SLOPE_X: usize = 14;
-    /// The smallest standard deviation, scene units; blending does not read it.
+    /// The smallest standard deviation, scene units; blending does not read it, nor anyone from a record.
     pub(crate) const THICKNESS: usize = 15;
 }
 use place::{PEAK, X, XX, XY, Y, YY};
@@ -56,6 +56,8 @@ pub(crate) struct Entry {
     pub(crate) first: u32,
     /// Its pairs.
     pub(crate) count: u32,
+    /// Its smallest standard deviation, scene units.
+    pub(crate) thickness: f32,
 }
 
 /// Lists of all tiles. A *pair* is a Gaussian in a tile; pairs are numbered in the order of Gaussians, and placed in
@@ -112,13 +114,19 @@ impl Bins {
         self.cursors.resize(tile_count * chunks, 0);
         let (entries, tiles) = (&self.entries, &self.tiles);
         let pairs = |entry: &Entry| entry.first as usize..(entry.first + entry.count) as usize;
-        self.cursors.par_chunks_mut(tile_count.max(1)).zip(self.order.par_chunks(chunk)).for_each(|(counts, order)| {
-            for &at in order {
-                for &tile in &tiles[pairs(&entries[at as usize])] {
-                    counts[tile as usize] += 1;
+        if chunks == 1 {
+            // In the order of memory: the sum is the same.
+            tiles.iter().for_each(|&tile| self.cursors[tile as usize] += 1);
+        } else {
+            let counts = self.cursors.par_chunks_mut(tile_count.max(1));
+            counts.zip(self.order.par_chunks(chunk)).for_each(|(counts, order)| {
+                for &at in order {
+                    for &tile in &tiles[pairs(&entries[at as usize])] {
+                        counts[tile as usize] += 1;
+                    }
                 }
-            }
-        });
+            });
+        }
         let total = starts(&mut self.cursors, tile_count.max(1));
         self.starts.clear();
         self.starts.extend_from_slice(&self.cursors[..tile_count]);
@@ -208,7 +216,7 @@ impl Boxes {
         if self.any.0[lane] == 0.0 {
             return;
         }
-        let [x0, y0, x1, y1] = [0, 1, 2, 3].map(|k| self.span[k].0[lane] as u32);
+        let [x0, y0, x1, y1] = each(|k| self.span[k].0[lane] as u32);
         if !layout.any_drawn(x0, x1, y0, y1) {
             return;
         }

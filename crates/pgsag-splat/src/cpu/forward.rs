@@ -181,7 +181,13 @@ pub(crate) fn blend<S: Simd, const FIRST: usize, const F: usize, const COUNTS: b
 /// Transmittance before the first Gaussian: 1, and 0 where nothing is drawn, so that nothing is.
 #[inline(always)]
 pub(crate) fn drawn_light(drawn: &[u16; BLOCKS]) -> [Line; BLOCKS] {
-    each(|block| Line(each(|lane| f32::from(drawn[block] >> lane & 1))))
+    let mut light = [Line::ZERO; BLOCKS];
+    for (light, drawn) in light.iter_mut().zip(drawn) {
+        for (lane, light) in light.0.iter_mut().enumerate() {
+            *light = f32::from(drawn >> lane & 1);
+        }
+    }
+    light
 }
 
 /// Blends the Gaussians `bits` of a batch; false when no pixel lets enough light through any more.

@@ -9,7 +9,7 @@ use super::{
     backward::sum,
     cloud::{CpuCloud, plane},
     lanes::{LANES, Line, at_level},
-    project::{Ellipses, GROUPS, Lanes, coefficients},
+    project::{Ellipses, GROUPS, Lanes, at_degree, coefficients},
     wide::{Carried, Wide},
 };
 use crate::backend::ViewCamera;
@@ -43,29 +43,24 @@ impl Return {
     }
 }
 
-/// Sums of a group, by what is summed, then by lane.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Totals {
-    lines: [Line; sum::ABSOLUTE_U],
-    /// 1 for lanes with sums.
-    visible: Line,
-}
-
 /// Sums of the groups of one task that have any.
 #[derive(Debug, Default)]
 pub(crate) struct TaskSums {
     groups: Vec<u8>,
-    sums: Vec<Totals>,
+    /// `[groups][TOTALS]` by what is summed, and last 1 for lanes with sums.
+    lines: Vec<Line>,
 }
+
+/// Lines of a group's sums.
+const TOTALS: usize = sum::ABSOLUTE_U + 1;
 
 impl TaskSums {
     /// Adds a group, by what is summed; 0 but for lanes with a bit in `visible`. Groups come in ascending order.
     #[inline(always)]
     pub(crate) fn push(&mut self, group: usize, sums: &[Line; LANES], visible: u16) {
         self.groups.push(group as u8);
-        let mut lines = [Line::ZERO; sum::ABSOLUTE_U];
-        lines.copy_from_slice(&sums[..sum::ABSOLUTE_U]);
-        self.sums.push(Totals { lines, visible: lanes_of(visible) });
+        self.lines.extend_from_slice(&sums[..sum::ABSOLUTE_U]);
+        self.lines.push(lanes_of(visible));
     }
 }
 
@@ -93,7 +88,7 @@ impl Pending {
         self.tasks[at].resize_with(tasks, TaskSums::default);
         for task in &mut self.tasks[at] {
             task.groups.clear();
-            task.sums.clear();
+            task.lines.clear();
         }
         &mut self.tasks[at]
     }
@@ -144,13 +139,13 @@ impl<S: Carried> Walk<'_, S> {
             if side.sums.groups.get(side.at) != Some(&(group as u8)) {
                 continue;
             }
-            let sums = &side.sums.sums[side.at];
+            let sums = &side.sums.lines[side.at * TOTALS..][..TOTALS];
             side.at += 1;
             if fresh {
                 lines[side.back.used_planes()..].fill(Line::ZERO);
             }
             for at in (0..LANES).step_by(Wide::<S>::LEN) {
-                let visible = Wide::<S>::zero().less(Wide::load(&sums.visible, at));
+                let visible = Wide::<S>::zero().less(Wide::load(&sums[sum::ABSOLUTE_U], at));
                 let mut out = Out { lines: &mut *lines, at, visible, fresh };
                 group_gradients(&side.lens, side.back, values, sums, &mut out);
             }
@@ -210,12 +205,12 @@ fn group_gradients<S: Carried>(
     lens: &Lens<Wide<S>>,
     back: &Return,
     values: &[Line],
-    sums: &Totals,
+    sums: &[Line],
     out: &mut Out<'_, S>,
 ) {
     let at = out.at;
     let lanes = Lanes { values, at };
-    let totals = Lanes { values: &sums.lines, at };
+    let totals = Lanes { values: sums, at };
     let ellipses = Ellipses::new(lens, lanes);
     let half = Wide::<S>::from_f64(-0.5);
     let [a, b, c] = ellipses.conic;
@@ -232,16 +227,9 @@ fn group_gradients<S: Carried>(
     let mut d_mean = [Wide::zero(); 3];
     if back.color {
         let (direction, reach) = harmonics::direction(mean, lens.eye);
-        let held = coefficients(back.sh_degree, lanes);
-        let rgb = harmonics::color(&held, direction, back.sh_degree);
         let d_rgb = totals.three(sum::FEATURES);
-        let (d_held, d_direction) = harmonics::color_grad(&held, direction, back.sh_degree, rgb, d_rgb);
+        let d_direction = at_degree!(back.sh_degree, color_gradients::<S>(lanes, direction, d_rgb, out));
         d_mean = harmonics::direction_grad(direction, reach, d_direction);
-        for l in 0..harmonics::basis_count(back.sh_degree) {
-            for channel in 0..3 {
-                out.add(plane::HARMONICS + 3 * l + channel, d_held[l][channel]);
-            }
-        }
     }
     if back.planes {
         let [nx, ny, nz] = totals.three(sum::FEATURES + 3);
@@ -261,6 +249,25 @@ fn group_gradients<S: Carried>(
         out.add(plane::ROTATION + k, d_quaternion[k]);
     }
     out.add(plane::OPACITY, totals.one(sum::V) * (Wide::one() - ellipses.opacity));
+}
+
+/// Gradient of the colours: adds those of the coefficients, returns that of the direction.
+#[inline(always)]
+fn color_gradients<S: Carried, const DEGREE: u8>(
+    lanes: Lanes<'_>,
+    direction: Vec3<Wide<S>>,
+    d_rgb: Vec3<Wide<S>>,
+    out: &mut Out<'_, S>,
+) -> Vec3<Wide<S>> {
+    let held = coefficients(DEGREE, lanes);
+    let rgb = harmonics::color(&held, direction, DEGREE);
+    let (d_held, d_direction) = harmonics::color_grad(&held, direction, DEGREE, rgb, d_rgb);
+    for l in 0..harmonics::basis_count(DEGREE) {
+        for channel in 0..3 {
+            out.add(plane::HARMONICS + 3 * l + channel, d_held[l][channel]);
+        }
+    }
+    d_direction
 }
 
 /// Gradients of normal and distance (four): returns that of the mean in the camera frame, adds that of the rotation.

@@ -115,7 +115,7 @@ impl<S: Carried> Ellipses<Wide<S>> {
     }
 }
 
-/// The coefficients in use of a group.
+/// The coefficients of a group, of a degree.
 #[inline(always)]
 pub(crate) fn coefficients<S: Carried>(degree: u8, lanes: Lanes<'_>) -> [Vec3<Wide<S>>; harmonics::BASIS_MAX] {
     let mut out = [[Wide::zero(); 3]; harmonics::BASIS_MAX];
@@ -124,6 +124,19 @@ pub(crate) fn coefficients<S: Carried>(degree: u8, lanes: Lanes<'_>) -> [Vec3<Wi
     }
     out
 }
+
+/// Calls a function of harmonics with the degree as a constant, so that what it holds of each stays in registers.
+macro_rules! at_degree {
+    ($degree:expr, $function:ident::<S>($($argument:expr),*)) => {
+        match $degree {
+            0 => $function::<S, 0>($($argument),*),
+            1 => $function::<S, 1>($($argument),*),
+            2 => $function::<S, 2>($($argument),*),
+            _ => $function::<S, 3>($($argument),*),
+        }
+    };
+}
+pub(crate) use at_degree;
 
 /// Projects what the drawn tiles may see of the cloud: writes `records` (by Gaussian; only of those that touch a drawn tile), and the lists of tiles.
 pub(crate) fn project(
@@ -216,6 +229,7 @@ impl Task<'_> {
                     depth: depths.0[lane].to_bits(),
                     first: start as u32,
                     count: count as u32,
+                    thickness: fields[place::THICKNESS].0[lane],
                 });
                 touching |= 1 << lane;
             }
@@ -244,6 +258,12 @@ fn ellipse_fields<S: Carried>(lens: &Lens<Wide<S>>, values: &[Line], at: usize, 
     ellipses.point[2]
 }
 
+/// R G B as seen along a direction.
+#[inline(always)]
+fn color<S: Carried, const DEGREE: u8>(lanes: Lanes<'_>, direction: Vec3<Wide<S>>) -> Vec3<Wide<S>> {
+    harmonics::color(&coefficients(DEGREE, lanes), direction, DEGREE)
+}
+
 /// Colours, and where asked normals and distances, of the lanes from `at` on.
 #[inline(always)]
 fn feature_fields<S: Carried>(
@@ -257,7 +277,7 @@ fn feature_fields<S: Carried>(
     let mean: Vec3<Wide<S>> = lanes.three(plane::MEAN);
     if projection.color {
         let (direction, _) = harmonics::direction(mean, lens.eye);
-        let rgb = harmonics::color(&coefficients(projection.sh_degree, lanes), direction, projection.sh_degree);
+        let rgb = at_degree!(projection.sh_degree, color::<S>(lanes, direction));
         for k in 0..3 {
             rgb[k].store(&mut fields[place::FEATURES + k], at);
         }

@@ -224,15 +224,12 @@ impl Task<'_> {
         // The last group may be short.
         let within = |lane: usize| (first + lane).min(self.statistics.visible.len());
         let lanes = within(at)..within(at + Wide::<S>::LEN);
-        let add = |to: &mut [f32], length: Wide<S>| {
-            let sum = <Wide<S> as Pixels<f32>>::load(to) + length * pixels / covered;
-            let sum = Wide::select(counts, sum, Pixels::load(to));
-            Pixels::store(sum, to);
-        };
+        let per_covered = |length: Wide<S>| length * pixels / covered;
         let statistics = &mut self.statistics;
-        add(&mut statistics.gradient[lanes.clone()], length(a * vx + b * vy, b * vx + c * vy));
-        let [au, av] = [sum::ABSOLUTE_U, sum::ABSOLUTE_V].map(|k| total(k) * ln_2);
-        add(&mut statistics.absolute[lanes.clone()], length(au, av));
+        let mean = per_covered(length(a * vx + b * vy, b * vx + c * vy));
+        add_where(counts, &mut statistics.gradient[lanes.clone()], mean);
+        let (au, av) = (total(sum::ABSOLUTE_U) * ln_2, total(sum::ABSOLUTE_V) * ln_2);
+        add_where(counts, &mut statistics.absolute[lanes.clone()], per_covered(length(au, av)));
         let radius = Wide::select(counts, projection::radius(ellipses.screen_covariance), zero);
         let largest = &mut statistics.radius[lanes.clone()];
         Pixels::store(radius.max(Pixels::load(largest)), largest);
@@ -240,6 +237,13 @@ impl Task<'_> {
             *count += u32::from(*covered > 0.0);
         }
     }
+}
+
+/// Adds to the lanes that count.
+#[inline(always)]
+fn add_where<S: Carried>(counts: S::mask32s, to: &mut [f32], value: Wide<S>) {
+    let before = <Wide<S> as Pixels<f32>>::load(to);
+    Pixels::store(Wide::select(counts, before + value, before), to);
 }
 
 /// Sums by what is summed, of sums by lane.

@@ -7,7 +7,8 @@ pub type Vec3<T> = [T; 3];
 /// `[3, 3]`, rows.
 pub type Mat3<T> = [[T; 3]; 3];
 
-/// `[f(0), f(1), …]`. Inlined for certain, unlike `std::array::from_fn`: a call would leave the vector unit.
+/// `[f(0), f(1), …]`. Inlined for certain, unlike `std::array::from_fn`: a call would leave the vector unit. `f` itself
+/// is inlined where it is small: what is large is a function of its own.
 #[inline(always)]
 pub fn each<V: Copy, const N: usize>(mut f: impl FnMut(usize) -> V) -> [V; N] {
     let mut out = [f(0); N];
@@ -62,7 +63,7 @@ pub fn transpose_vec<T: Number>(m: &Mat3<T>, a: Vec3<T>) -> Vec3<T> {
 /// A B
 #[inline(always)]
 pub fn mat_mul<T: Number>(a: &Mat3<T>, b: &Mat3<T>) -> Mat3<T> {
-    each(|i| each(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j]))
+    [transpose_vec(b, a[0]), transpose_vec(b, a[1]), transpose_vec(b, a[2])]
 }
 
 /// Mᵀ

@@ -103,11 +103,14 @@ pub fn screen_grad<T: Number>(lens: &Lens<T>, p: Vec3<T>, d_screen: [T; 2]) -> V
 #[inline(always)]
 fn jacobian<T: Number>(lens: &Lens<T>, p: Vec3<T>) -> [Vec3<T>; 2] {
     let inverse = T::one() / p[2];
-    each(|i| {
-        let tangent = (p[i] * inverse).clamp(lens.tangent_low[i], lens.tangent_high[i]);
-        let slope = lens.focal[i] * inverse;
-        each(|k| slope * (lens.rotation[i][k] - tangent * lens.rotation[2][k]))
-    })
+    [jacobian_row(lens, p, inverse, 0), jacobian_row(lens, p, inverse, 1)]
+}
+
+#[inline(always)]
+fn jacobian_row<T: Number>(lens: &Lens<T>, p: Vec3<T>, inverse: T, i: usize) -> Vec3<T> {
+    let tangent = (p[i] * inverse).clamp(lens.tangent_low[i], lens.tangent_high[i]);
+    let slope = lens.focal[i] * inverse;
+    each(|k| slope * (lens.rotation[i][k] - tangent * lens.rotation[2][k]))
 }
 
 /// Covariance (a, b, c) = (Σ2₀₀, Σ2₀₁, Σ2₁₁) on the screen, pixels².

@@ -202,15 +202,25 @@ impl<T: Scalar> Band<'_, T> {
             [turn + 1, turn + 2, turn].map(|turn| &self.sides[turn % 3 * 6 * stride..][..6 * stride]);
         let span = self.view.spans[y].clone();
         for x in span.clone().step_by(P::LEN) {
-            let at = |sides: &[T], plane: usize, x: usize| P::load(&sides[plane * stride + x..][..P::LEN]);
-            let d_point: Vec3<P> = each(|k| {
-                let across = at(middle, k, MARGIN + x - 1) - at(middle, k, MARGIN + x + 1);
-                across + (at(below, 3 + k, MARGIN + x) - at(above, 3 + k, MARGIN + x))
-            });
+            let (rows, x_wide) = ([above, middle, below], MARGIN + x);
+            let d_point: Vec3<P> = [
+                gathered(rows, 0, stride, x_wide),
+                gathered(rows, 1, stride, x_wide),
+                gathered(rows, 2, stride, x_wide),
+            ];
             let out = &mut self.d_depth[row * width..][x..span.end];
             (P::load(out) + dot(d_point, ray(lens, x, y))).store(out);
         }
     }
+}
+
+/// One coordinate of the gradient of the point at `x` of the middle row of three: what its four neighbours' differences
+/// leave to it.
+#[inline(always)]
+fn gathered<T: Scalar, P: Pixels<T>>([above, middle, below]: [&[T]; 3], k: usize, stride: usize, x: usize) -> P {
+    let at = |sides: &[T], at: usize| P::load(&sides[at..][..P::LEN]);
+    let across = at(middle, k * stride + x - 1) - at(middle, k * stride + x + 1);
+    across + (at(below, (3 + k) * stride + x) - at(above, (3 + k) * stride + x))
 }
 
 #[inline(always)]

@@ -69,7 +69,8 @@ fn lists_are_by_depth_then_index_and_places_lead_back() {
     let mut tiles = Vec::new();
     for gaussian in 0..6000u32 {
         let count = stream.below(4) as u32 + 1;
-        entries.push(Entry { gaussian, depth: stream.below(50) as u32, first: tiles.len() as u32, count });
+        let first = tiles.len() as u32;
+        entries.push(Entry { gaussian, depth: stream.below(50) as u32, first, count, thickness: 0.0 });
         let start = stream.below(36) as u32;
         tiles.extend(start..start + count);
     }
