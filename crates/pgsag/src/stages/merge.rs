@@ -8,7 +8,7 @@ use glam::DVec3;
 use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces};
 use pgsag_mesh::gaps::close_gaps;
 use pgsag_mesh::holes::close_holes;
-use pgsag_mesh::identity::{RoofRules, given_pieces, roof_pieces};
+use pgsag_mesh::identity::{Ground, RoofRules, given_pieces, roof_pieces};
 use pgsag_mesh::merge::{Merger, split_by_building};
 use pgsag_mesh::render::visibility;
 use pgsag_mesh::settle::settle;
@@ -47,6 +47,9 @@ pub struct BuildingOptions {
     /// Roofs that touch are of two buildings also where their hues differ by more than this: |Δ ln(red / green)| +
     /// |Δ ln(blue / green)|, which light and shade do not change; 0: colours part nothing.
     pub hue_step: f64,
+    /// Building surface less than this above the ground nearby is ground, metres, where no walls or roofs stand over it: what
+    /// masks draw past walls; 0: it stays.
+    pub ground_height_m: f64,
     /// Building surface of less than this is no building of its own and counts as background.
     pub min_building_m2: f64,
 }
@@ -55,6 +58,8 @@ pub struct BuildingOptions {
 const RELIEF_SHARE: f64 = 0.6;
 /// Distance from a plane that roofs keep to, samples of the volume.
 const FLAT_VOXELS: f64 = 0.2;
+/// Side of a block in which the level of the ground is looked for, metres.
+const GROUND_BLOCK_M: f64 = 2.0;
 
 impl Default for BuildingOptions {
     fn default() -> Self {
@@ -65,6 +70,7 @@ impl Default for BuildingOptions {
             plan_cell_m: 0.5,
             height_step_m: 0.1,
             hue_step: 0.12,
+            ground_height_m: 0.5,
             min_building_m2: 10.0,
         }
     }
@@ -188,6 +194,10 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         flat: FLAT_VOXELS * voxel,
         hue_step: if options.hue_step > 0.0 { options.hue_step } else { f64::INFINITY },
         min_area: lengths.square_units(options.min_building_m2),
+        ground: (options.ground_height_m > 0.0).then(|| Ground {
+            height: lengths.units(options.ground_height_m).max(voxel),
+            block: lengths.units(GROUND_BLOCK_M).max(8.0 * voxel),
+        }),
     };
     tell_apart(&mut city, up, &rules, crumb)?;
     let parts = split_by_building(&city);
@@ -390,8 +400,14 @@ mod tests {
     #[test]
     fn the_largest_building_is_number_one_and_crumbs_are_background() {
         let mut city = squares(&[(0.0, 1), (10.0, 1), (11.0, 1), (20.0, 0)]);
-        let rules =
-            |min_area: f64| RoofRules { cell: 0.5, step: f64::INFINITY, flat: 0.0, hue_step: f64::INFINITY, min_area };
+        let rules = |min_area: f64| RoofRules {
+            cell: 0.5,
+            step: f64::INFINITY,
+            flat: 0.0,
+            hue_step: f64::INFINITY,
+            min_area,
+            ground: None,
+        };
         number_buildings(&mut city, DVec3::Z, &rules(0.5)).expect("numbered");
         assert_eq!(city.buildings, [2, 2, 1, 1, 1, 1, 0, 0]);
         number_buildings(&mut city, DVec3::Z, &rules(1.5)).expect("numbered");
@@ -416,7 +432,14 @@ mod tests {
     fn given_numbers_stay_and_what_nobody_numbered_gets_the_next() {
         let mut city = squares(&[(0.0, 1), (1.0, 1), (2.0, 1), (10.0, 2), (20.0, 0)]);
         city.buildings = vec![7, 0, 7, 4, 4, 4, 0, 0, 9, 9];
-        let rules = RoofRules { cell: 0.5, step: f64::INFINITY, flat: 0.0, hue_step: f64::INFINITY, min_area: 0.4 };
+        let rules = RoofRules {
+            cell: 0.5,
+            step: f64::INFINITY,
+            flat: 0.0,
+            hue_step: f64::INFINITY,
+            min_area: 0.4,
+            ground: None,
+        };
         number_buildings(&mut city, DVec3::Z, &rules).expect("numbered");
         assert_eq!(city.buildings, [7, 7, 7, 4, 4, 4, 8, 8, 0, 0]);
         assert_eq!(city.groups, [1, 1, 1, 1, 1, 1, 2, 2, 0, 0]);
