@@ -13,7 +13,7 @@ use crate::Result;
 use crate::source::{Source, files_below, read_all};
 
 /// Lines of product code (tests left out), all crates together. Raised by a decision record only.
-const LINE_BUDGET: usize = 40_100;
+const LINE_BUDGET: usize = 40_400;
 
 /// A rule that is broken, and where.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
