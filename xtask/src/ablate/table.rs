@@ -43,7 +43,7 @@ pub(super) fn page(scenes: &[&str], done: &[Done], iterations: u32) -> String {
         "# What each part is worth\n\nMade by `cargo x ablate`; not written by hand. Preset `fast`, {iterations} steps, true masks. \
          Differences are to the mean of\nthe base over {} seeds; **bold** rows differ in F1 by more than those seeds do among \
          themselves. Accuracy: mean distance from\nmesh to truth; completeness: from truth to mesh; edges: accuracy within 0.5 m of \
-         the truth's edges. CPU: the whole run, what the\nbase had done included.\n",
+         the truth's edges. CPU: the whole run, what the\nbase had done included; not so the base's stereo where a row only chooses other neighbours.\n",
         SEEDS.len()
     );
     for scene in scenes {
