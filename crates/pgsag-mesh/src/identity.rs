@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, HashMap};
 use glam::DVec3;
 use pgsag_scene::Mesh;
 
-pub use ground::Ground;
+pub use ground::{Ground, on_ground};
 use regions::BESIDE;
 
 use crate::components::Sets;
@@ -32,8 +32,6 @@ pub struct RoofRules {
     pub hue_step: f64,
     /// Roofs of less area in plan are parts of others.
     pub min_area: f64,
-    /// What of the surface is ground; `None`: nothing.
-    pub ground: Option<Ground>,
 }
 
 /// A roof that shares at least this part of its border with one other stands on it.
@@ -53,8 +51,7 @@ struct Relief {
     index: HashMap<[i64; 2], u32>,
 }
 
-/// `[F]` The building of every face, from 1 in the order of cells; 0 where `is_building` does not hold or the highest
-/// building surface lies on the ground, which the other faces show.
+/// `[F]` The building of every face, from 1 in the order of cells; 0 where `is_building` does not hold.
 ///
 /// # Errors
 /// A cell that is no length.
@@ -71,9 +68,6 @@ pub fn roof_pieces(
     let (east, north) = up.any_orthonormal_pair();
     let key = |p: DVec3| [(p.dot(east) / rules.cell).floor() as i64, (p.dot(north) / rules.cell).floor() as i64];
     let mut relief = Relief::of(mesh, &key, up, rules.cell, &is_building);
-    if let Some(ground) = &rules.ground {
-        relief = relief.above(ground, mesh, (&key, up, rules.cell), &is_building);
-    }
     if rules.step.is_finite() {
         relief.tops = relief.smooth(|cell| relief.tops[cell]);
         let hues = match rules.hue_step.is_finite() && !mesh.colors.is_empty() {
@@ -129,8 +123,6 @@ pub fn given_pieces(
         }
         number = next;
     }
-    // What has a number is no ground.
-    let rules = &RoofRules { ground: None, ..*rules };
     let pieces = roof_pieces(mesh, up, rules, |face| is_building(face) && number[face] == 0)?;
     let first = number.iter().max().copied().unwrap_or(0);
     let area = |face: usize| {
@@ -360,7 +352,7 @@ mod tests {
     }
 
     fn count(mesh: &Mesh, step: f64) -> usize {
-        let rules = RoofRules { cell: 0.5, step, flat: 0.03, hue_step: f64::INFINITY, min_area: 10.0, ground: None };
+        let rules = RoofRules { cell: 0.5, step, flat: 0.03, hue_step: f64::INFINITY, min_area: 10.0 };
         let mut found = roof_pieces(mesh, DVec3::Z, &rules, |_| true).expect("a good cell");
         found.sort_unstable();
         found.dedup();
@@ -390,7 +382,7 @@ mod tests {
         });
         let mut paint = |color: fn(f64, f64) -> [u8; 3], hue_step: f64| {
             mesh.colors = mesh.vertices.iter().map(|at| color(at[0], at[1])).collect();
-            let rules = RoofRules { cell: 0.5, step: 0.2, flat: 0.03, hue_step, min_area: 10.0, ground: None };
+            let rules = RoofRules { cell: 0.5, step: 0.2, flat: 0.03, hue_step, min_area: 10.0 };
             let mut found = roof_pieces(&mesh, DVec3::Z, &rules, |_| true).expect("a good cell");
             found.sort_unstable();
             found.dedup();
@@ -441,7 +433,7 @@ mod tests {
             [120.0 + 10.0 * share, 120.0, 120.0 - 9.0 * share].map(|channel: f64| channel.round() as u8)
         };
         mesh.colors = mesh.vertices.iter().map(|at| blurred(at[0])).collect();
-        let rules = RoofRules { cell: 0.5, step: 0.2, flat: 0.03, hue_step: 0.12, min_area: 10.0, ground: None };
+        let rules = RoofRules { cell: 0.5, step: 0.2, flat: 0.03, hue_step: 0.12, min_area: 10.0 };
         let found = roof_pieces(&mesh, DVec3::Z, &rules, |_| true).expect("a good cell");
         assert_eq!(found.iter().collect::<std::collections::BTreeSet<_>>().len(), 2);
     }
@@ -458,7 +450,7 @@ mod tests {
             roof_pieces(
                 &Mesh::default(),
                 DVec3::Z,
-                &RoofRules { cell: 0.0, step: 1.0, flat: 0.1, hue_step: 1.0, min_area: 1.0, ground: None },
+                &RoofRules { cell: 0.0, step: 1.0, flat: 0.1, hue_step: 1.0, min_area: 1.0 },
                 |_| true
             )
             .is_err()

@@ -12,10 +12,13 @@ use pgsag_scene::numbers::quantile;
 
 use super::Relief;
 use super::regions::BESIDE;
+use crate::error::MeshError;
 
 /// When building surface is ground, in scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ground {
+    /// Side of a cell of plan view: a face, so that no cell of a strip holds a piece of the wall too.
+    pub cell: f64,
     /// Above the ground nearby.
     pub height: f64,
     /// Side of a block of plan view.
@@ -31,42 +34,54 @@ const LEVEL_SHARE: f64 = 0.3;
 /// A block of fewer faces has no level.
 const MIN_FACES: usize = 20;
 
-impl Relief {
-    /// Without the cells whose highest point lies on the ground.
-    pub(super) fn above(
-        self,
-        ground: &Ground,
-        mesh: &Mesh,
-        (key, up, cell): (&impl Fn(DVec3) -> [i64; 2], DVec3, f64),
-        is_building: &impl Fn(usize) -> bool,
-    ) -> Self {
-        let cells = (ground.block / cell).ceil().max(1.0) as i64;
-        let block = |at: &[i64; 2]| at.map(|k| k.div_euclid(cells));
-        let own: HashSet<[i64; 2]> = self.keys.iter().map(block).collect();
-        let wanted: HashSet<[i64; 2]> = own.iter().flat_map(nearby).collect();
-        let mut heights: HashMap<[i64; 2], Vec<f64>> = HashMap::new();
-        for face in (0..mesh.faces.len()).filter(|face| !is_building(*face)) {
-            let middle = mesh.triangle(face).iter().map(|corner| DVec3::from(*corner)).sum::<DVec3>() / 3.0;
-            let at = block(&key(middle));
-            if wanted.contains(&at) {
-                heights.entry(at).or_default().push(middle.dot(up));
-            }
-        }
-        heights.retain(|_, heights| heights.len() >= MIN_FACES);
-        let levels: HashMap<[i64; 2], f64> =
-            heights.iter_mut().filter_map(|(at, heights)| Some((*at, quantile(heights, LEVEL_SHARE)?))).collect();
-        let lowest = |at: &[i64; 2]| nearby(at).filter_map(|at| levels.get(&at)).copied().reduce(f64::min);
-        let level: HashMap<[i64; 2], f64> = own.iter().filter_map(|at| Some((*at, lowest(at)?))).collect();
-        let is_above = |at: &[i64; 2], top: f64| level.get(&block(at)).is_none_or(|level| top - level >= ground.height);
-        let inner = self.inside((STRIP * ground.block / cell).ceil() as usize);
-        let is_kept = |k: &usize| inner[*k] || is_above(&self.keys[*k], self.tops[*k]);
-        let kept: Vec<usize> = (0..self.keys.len()).filter(is_kept).collect();
-        let keys: Vec<[i64; 2]> = kept.iter().map(|k| self.keys[*k]).collect();
-        let tops = kept.iter().map(|k| self.tops[*k]).collect();
-        let index = keys.iter().enumerate().map(|(at, key)| (*key, at as u32)).collect();
-        Self { keys, tops, hues: Vec::new(), index }
+/// `[F]` whether a face for which `is_building` holds is of a cell of plan view whose highest such
+/// surface lies on the ground, which the other faces show.
+///
+/// # Errors
+/// A cell that is no length.
+pub fn on_ground(
+    mesh: &Mesh,
+    up: DVec3,
+    ground: &Ground,
+    is_building: impl Fn(usize) -> bool,
+) -> Result<Vec<bool>, MeshError> {
+    let cell = ground.cell;
+    if !(cell > 0.0 && cell.is_finite()) {
+        return Err(MeshError::Option { name: "cell", value: cell, allowed: "greater than 0" });
     }
+    let up = up.normalize_or(DVec3::Z);
+    let (east, north) = up.any_orthonormal_pair();
+    let key = |p: DVec3| [(p.dot(east) / cell).floor() as i64, (p.dot(north) / cell).floor() as i64];
+    let relief = Relief::of(mesh, &key, up, cell, &is_building);
+    let cells = (ground.block / cell).ceil().max(1.0) as i64;
+    let block = |at: &[i64; 2]| at.map(|k| k.div_euclid(cells));
+    let middle = |face: usize| mesh.triangle(face).iter().map(|corner| DVec3::from(*corner)).sum::<DVec3>() / 3.0;
 
+    let own: HashSet<[i64; 2]> = relief.keys.iter().map(block).collect();
+    let wanted: HashSet<[i64; 2]> = own.iter().flat_map(nearby).collect();
+    let mut heights: HashMap<[i64; 2], Vec<f64>> = HashMap::new();
+    for face in (0..mesh.faces.len()).filter(|face| !is_building(*face)) {
+        let at = block(&key(middle(face)));
+        if wanted.contains(&at) {
+            heights.entry(at).or_default().push(middle(face).dot(up));
+        }
+    }
+    heights.retain(|_, heights| heights.len() >= MIN_FACES);
+    let levels: HashMap<[i64; 2], f64> =
+        heights.iter_mut().filter_map(|(at, heights)| Some((*at, quantile(heights, LEVEL_SHARE)?))).collect();
+    let lowest = |at: &[i64; 2]| nearby(at).filter_map(|at| levels.get(&at)).copied().reduce(f64::min);
+    let level: HashMap<[i64; 2], f64> = own.iter().filter_map(|at| Some((*at, lowest(at)?))).collect();
+
+    let inner = relief.inside((STRIP * ground.block / cell).ceil() as usize);
+    let is_low = |k: usize| {
+        !inner[k] && level.get(&block(&relief.keys[k])).is_some_and(|level| relief.tops[k] - level < ground.height)
+    };
+    let is_ground: Vec<bool> = (0..relief.keys.len()).map(is_low).collect();
+    let lies = |face: usize| relief.index.get(&key(middle(face))).is_some_and(|cell| is_ground[*cell as usize]);
+    Ok((0..mesh.faces.len()).map(|face| is_building(face) && lies(face)).collect())
+}
+
+impl Relief {
     /// `[cells]` whether a cell lies more than so many rings of cells inside of the rim.
     fn inside(&self, rings: usize) -> Vec<bool> {
         let mut inner = vec![true; self.keys.len()];
@@ -98,7 +113,7 @@ mod tests {
     use glam::DVec3;
     use pgsag_scene::Mesh;
 
-    use crate::identity::{Ground, RoofRules, roof_pieces};
+    use crate::identity::{Ground, on_ground};
 
     /// Squares of half a metre over `x` and `y` (metres), at the heights of `z`; whether each face is of a building.
     fn squares(x: f64, y: f64, z: impl Fn(f64, f64) -> (f64, bool)) -> (Mesh, Vec<bool>) {
@@ -119,11 +134,9 @@ mod tests {
     }
 
     fn kept((mesh, is_building): &(Mesh, Vec<bool>)) -> Vec<bool> {
-        let ground = Some(Ground { height: 0.5, block: 2.0 });
-        let rules =
-            RoofRules { cell: 0.5, step: f64::INFINITY, flat: 0.0, hue_step: f64::INFINITY, min_area: 0.0, ground };
-        let pieces = roof_pieces(mesh, DVec3::Z, &rules, |face| is_building[face]).expect("a good cell");
-        pieces.into_iter().map(|piece| piece != 0).collect()
+        let ground = Ground { cell: 0.5, height: 0.5, block: 2.0 };
+        let low = on_ground(mesh, DVec3::Z, &ground, |face| is_building[face]).expect("a good cell");
+        low.into_iter().zip(is_building).map(|(low, building)| *building && !low).collect()
     }
 
     #[test]

@@ -8,7 +8,7 @@ use glam::DVec3;
 use pgsag_mesh::components::{ComponentOptions, drop_small, keep_faces};
 use pgsag_mesh::gaps::close_gaps;
 use pgsag_mesh::holes::close_holes;
-use pgsag_mesh::identity::{Ground, RoofRules, given_pieces, roof_pieces};
+use pgsag_mesh::identity::{Ground, RoofRules, given_pieces, on_ground, roof_pieces};
 use pgsag_mesh::merge::{Merger, split_by_building};
 use pgsag_mesh::render::visibility;
 use pgsag_mesh::settle::settle;
@@ -188,18 +188,8 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     if options.height_step_m > 0.0 && !is_parted {
         job.say("the cameras stand below the roofs: gaps alone part buildings, not the heights of roofs");
     }
-    let rules = RoofRules {
-        cell: lengths.units(options.plan_cell_m * if is_parted { RELIEF_SHARE } else { 1.0 }).max(1.5 * voxel),
-        step: if is_parted { lengths.units(options.height_step_m).max(voxel) } else { f64::INFINITY },
-        flat: FLAT_VOXELS * voxel,
-        hue_step: if options.hue_step > 0.0 { options.hue_step } else { f64::INFINITY },
-        min_area: lengths.square_units(options.min_building_m2),
-        ground: (options.ground_height_m > 0.0).then(|| Ground {
-            height: lengths.units(options.ground_height_m).max(voxel),
-            block: lengths.units(GROUND_BLOCK_M).max(8.0 * voxel),
-        }),
-    };
-    tell_apart(&mut city, up, &rules, crumb)?;
+    let (rules, ground) = rules(options, &lengths, voxel, is_parted);
+    tell_apart(&mut city, up, &rules, ground.as_ref(), crumb)?;
     let parts = split_by_building(&city);
     let mut list: Vec<Building> = parts.iter().map(|(n, mesh)| described(*n, mesh, up, &lengths)).collect();
     let samples: Vec<Vec<DVec3>> = parts.values().map(sample_centers).collect();
@@ -211,6 +201,23 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     }
     let buildings = keep_faces(&city, |face| city.buildings[face] != 0);
     job.write(&Merged { city, buildings, list })
+}
+
+/// The options in scene units, where the volume is sampled every `voxel`; roofs are told apart by height where `is_parted`.
+fn rules(options: &BuildingOptions, lengths: &Lengths, voxel: f64, is_parted: bool) -> (RoofRules, Option<Ground>) {
+    let rules = RoofRules {
+        cell: lengths.units(options.plan_cell_m * if is_parted { RELIEF_SHARE } else { 1.0 }).max(1.5 * voxel),
+        step: if is_parted { lengths.units(options.height_step_m).max(voxel) } else { f64::INFINITY },
+        flat: FLAT_VOXELS * voxel,
+        hue_step: if options.hue_step > 0.0 { options.hue_step } else { f64::INFINITY },
+        min_area: lengths.square_units(options.min_building_m2),
+    };
+    let ground = (options.ground_height_m > 0.0).then(|| Ground {
+        cell: voxel,
+        height: lengths.units(options.ground_height_m).max(voxel),
+        block: lengths.units(GROUND_BLOCK_M).max(8.0 * voxel),
+    });
+    (rules, ground)
 }
 
 /// Without crumbs, narrow gaps and small holes.
@@ -261,11 +268,16 @@ fn looks_down(city: &Mesh, scene: &Scene, up: DVec3) -> bool {
     }
 }
 
-/// Labels without speckles of less than `crumb`, scene units squared, and buildings by number.
-fn tell_apart(city: &mut Mesh, up: DVec3, rules: &RoofRules, crumb: f64) -> Result<()> {
+/// Labels without speckles of less than `crumb`, scene units squared, and buildings by number. What lies on the ground leaves
+/// them last: strips are speckles, and roofs are told apart by what they had about them.
+fn tell_apart(city: &mut Mesh, up: DVec3, rules: &RoofRules, ground: Option<&Ground>, crumb: f64) -> Result<()> {
     city.groups = settle(city, &city.groups, crumb);
     number_buildings(city, up, rules)?;
     city.buildings = settle(city, &city.buildings, crumb);
+    if let Some(ground) = ground {
+        let is_ground = on_ground(city, up, ground, |face| city.buildings[face] != 0)?;
+        city.buildings.iter_mut().zip(is_ground).filter(|(_, ground)| *ground).for_each(|(number, _)| *number = 0);
+    }
     match_groups(city);
     Ok(())
 }
@@ -400,14 +412,8 @@ mod tests {
     #[test]
     fn the_largest_building_is_number_one_and_crumbs_are_background() {
         let mut city = squares(&[(0.0, 1), (10.0, 1), (11.0, 1), (20.0, 0)]);
-        let rules = |min_area: f64| RoofRules {
-            cell: 0.5,
-            step: f64::INFINITY,
-            flat: 0.0,
-            hue_step: f64::INFINITY,
-            min_area,
-            ground: None,
-        };
+        let rules =
+            |min_area: f64| RoofRules { cell: 0.5, step: f64::INFINITY, flat: 0.0, hue_step: f64::INFINITY, min_area };
         number_buildings(&mut city, DVec3::Z, &rules(0.5)).expect("numbered");
         assert_eq!(city.buildings, [2, 2, 1, 1, 1, 1, 0, 0]);
         number_buildings(&mut city, DVec3::Z, &rules(1.5)).expect("numbered");
@@ -432,14 +438,7 @@ mod tests {
     fn given_numbers_stay_and_what_nobody_numbered_gets_the_next() {
         let mut city = squares(&[(0.0, 1), (1.0, 1), (2.0, 1), (10.0, 2), (20.0, 0)]);
         city.buildings = vec![7, 0, 7, 4, 4, 4, 0, 0, 9, 9];
-        let rules = RoofRules {
-            cell: 0.5,
-            step: f64::INFINITY,
-            flat: 0.0,
-            hue_step: f64::INFINITY,
-            min_area: 0.4,
-            ground: None,
-        };
+        let rules = RoofRules { cell: 0.5, step: f64::INFINITY, flat: 0.0, hue_step: f64::INFINITY, min_area: 0.4 };
         number_buildings(&mut city, DVec3::Z, &rules).expect("numbered");
         assert_eq!(city.buildings, [7, 7, 7, 4, 4, 4, 8, 8, 0, 0]);
         assert_eq!(city.groups, [1, 1, 1, 1, 1, 1, 2, 2, 0, 0]);
