@@ -38,8 +38,12 @@ impl TinyTown {
     }
 
     fn trainer<'a>(&'a self, backend: &'a Cpu) -> Trainer<'a, Cpu> {
+        self.trainer_with(backend, options())
+    }
+
+    fn trainer_with<'a>(&'a self, backend: &'a Cpu, options: TrainOptions) -> Trainer<'a, Cpu> {
         let cloud = initialise(&self.points(), [0.0; 3], &InitialiseOptions::default()).expect("points");
-        Trainer::new(backend, self, self.neighbors(), cloud, options(), 5).expect("a trainable town")
+        Trainer::new(backend, self, self.neighbors(), cloud, options, 5).expect("a trainable town")
     }
 
     fn points(&self) -> Vec<InitialPoint> {
@@ -133,6 +137,26 @@ fn cut_and_threaded_runs_give_the_same_bytes() {
         resumed.checkpoint().expect("memory").to_bytes()
     });
     assert!(straight == cut, "the bytes of a run depend on cuts or threads");
+}
+
+#[test]
+fn fewer_are_born_where_views_must_agree() {
+    let (town, backend) = (TinyTown::new(), Cpu::new(CpuOptions::default()).expect("some instructions"));
+    let born = |agreement: f32| {
+        let plain = options();
+        let density = DensityOptions { from: 0.0, until: 1.0, interval: 20, agreement, ..plain.density };
+        let mut trainer = town.trainer_with(&backend, TrainOptions { iterations: 60, density, ..plain });
+        let mut most = 0;
+        trainer
+            .run(u32::MAX, &mut |progress| {
+                most = progress.gaussians;
+                ControlFlow::Continue(())
+            })
+            .expect("a step");
+        most
+    };
+    let (all, half, whole) = (born(0.0), born(0.5), born(1.0));
+    assert!(all > half && half > whole, "{all} {half} {whole}");
 }
 
 /// Parents of the births that one gathering over these views leads to.
