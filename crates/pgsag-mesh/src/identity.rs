@@ -61,12 +61,7 @@ pub fn roof_pieces(
     rules: &RoofRules,
     is_building: impl Fn(usize) -> bool,
 ) -> Result<Vec<u32>, MeshError> {
-    if !(rules.cell > 0.0 && rules.cell.is_finite()) {
-        return Err(MeshError::Option { name: "cell", value: rules.cell, allowed: "greater than 0" });
-    }
-    let up = up.normalize_or(DVec3::Z);
-    let (east, north) = up.any_orthonormal_pair();
-    let key = |p: DVec3| [(p.dot(east) / rules.cell).floor() as i64, (p.dot(north) / rules.cell).floor() as i64];
+    let (up, key) = plan_view(up, rules.cell)?;
     let mut relief = Relief::of(mesh, &key, up, rules.cell, &is_building);
     if rules.step.is_finite() {
         relief.tops = relief.smooth(|cell| relief.tops[cell]);
@@ -78,11 +73,22 @@ pub fn roof_pieces(
         relief.hues = red.into_iter().zip(blue).map(|(red, blue)| [red, blue]).collect();
     }
     let number = relief.pieces(rules);
-    let piece = |face: usize| {
-        let middle = mesh.triangle(face).iter().map(|corner| DVec3::from(*corner)).sum::<DVec3>() / 3.0;
-        relief.index.get(&key(middle)).map_or(0, |cell| number[*cell as usize])
-    };
+    let piece = |face: usize| relief.index.get(&key(middle(mesh, face))).map_or(0, |cell| number[*cell as usize]);
     Ok((0..mesh.faces.len()).map(|face| if is_building(face) { piece(face) } else { 0 }).collect())
+}
+
+/// The unit up axis, and the cell of plan view (side `cell`) of a point.
+fn plan_view(up: DVec3, cell: f64) -> Result<(DVec3, impl Fn(DVec3) -> [i64; 2]), MeshError> {
+    if !(cell > 0.0 && cell.is_finite()) {
+        return Err(MeshError::Option { name: "cell", value: cell, allowed: "greater than 0" });
+    }
+    let up = up.normalize_or(DVec3::Z);
+    let (east, north) = up.any_orthonormal_pair();
+    Ok((up, move |p: DVec3| [(p.dot(east) / cell).floor() as i64, (p.dot(north) / cell).floor() as i64]))
+}
+
+fn middle(mesh: &Mesh, face: usize) -> DVec3 {
+    mesh.triangle(face).iter().map(|corner| DVec3::from(*corner)).sum::<DVec3>() / 3.0
 }
 
 /// Rings of faces that a given number spreads over faces which no view has numbered: rims and shaded spots.

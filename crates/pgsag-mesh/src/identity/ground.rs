@@ -10,8 +10,8 @@ use glam::DVec3;
 use pgsag_scene::Mesh;
 use pgsag_scene::numbers::quantile;
 
-use super::Relief;
 use super::regions::BESIDE;
+use super::{Relief, middle, plan_view};
 use crate::error::MeshError;
 
 /// When building surface is ground, in scene units.
@@ -46,24 +46,18 @@ pub fn on_ground(
     is_building: impl Fn(usize) -> bool,
 ) -> Result<Vec<bool>, MeshError> {
     let cell = ground.cell;
-    if !(cell > 0.0 && cell.is_finite()) {
-        return Err(MeshError::Option { name: "cell", value: cell, allowed: "greater than 0" });
-    }
-    let up = up.normalize_or(DVec3::Z);
-    let (east, north) = up.any_orthonormal_pair();
-    let key = |p: DVec3| [(p.dot(east) / cell).floor() as i64, (p.dot(north) / cell).floor() as i64];
+    let (up, key) = plan_view(up, cell)?;
     let relief = Relief::of(mesh, &key, up, cell, &is_building);
     let cells = (ground.block / cell).ceil().max(1.0) as i64;
     let block = |at: &[i64; 2]| at.map(|k| k.div_euclid(cells));
-    let middle = |face: usize| mesh.triangle(face).iter().map(|corner| DVec3::from(*corner)).sum::<DVec3>() / 3.0;
 
     let own: HashSet<[i64; 2]> = relief.keys.iter().map(block).collect();
     let wanted: HashSet<[i64; 2]> = own.iter().flat_map(nearby).collect();
     let mut heights: HashMap<[i64; 2], Vec<f64>> = HashMap::new();
     for face in (0..mesh.faces.len()).filter(|face| !is_building(*face)) {
-        let at = block(&key(middle(face)));
+        let at = block(&key(middle(mesh, face)));
         if wanted.contains(&at) {
-            heights.entry(at).or_default().push(middle(face).dot(up));
+            heights.entry(at).or_default().push(middle(mesh, face).dot(up));
         }
     }
     heights.retain(|_, heights| heights.len() >= MIN_FACES);
@@ -77,7 +71,7 @@ pub fn on_ground(
         !inner[k] && level.get(&block(&relief.keys[k])).is_some_and(|level| relief.tops[k] - level < ground.height)
     };
     let is_ground: Vec<bool> = (0..relief.keys.len()).map(is_low).collect();
-    let lies = |face: usize| relief.index.get(&key(middle(face))).is_some_and(|cell| is_ground[*cell as usize]);
+    let lies = |face: usize| relief.index.get(&key(middle(mesh, face))).is_some_and(|cell| is_ground[*cell as usize]);
     Ok((0..mesh.faces.len()).map(|face| is_building(face) && lies(face)).collect())
 }
 
