@@ -50,20 +50,22 @@ impl Ground {
         let mut surface = low.clone();
         spread(&grid, &mut surface, &is_known);
         without_pits(&grid, &mut surface, rules.bump);
+        let whole = surface.clone();
         let mut is_ground = is_known;
         let mut window = 1;
         while (window as f64) * grid.cell <= rules.largest_building {
-            let opened = opened(&grid, &surface, window);
+            surface = opened(&grid, &surface, window);
+            // Of the whole height: roofs that crumble a little at every window would pass otherwise.
             let tolerance = rules.bump + rules.slope * window as f64 * grid.cell;
-            for ((ground, height), opened) in is_ground.iter_mut().zip(&surface).zip(&opened) {
+            for ((ground, height), opened) in is_ground.iter_mut().zip(&whole).zip(&surface) {
                 *ground &= height - opened <= tolerance;
             }
-            surface = opened;
             window *= 2;
         }
         let mut height = low;
         spread(&grid, &mut height, &is_ground);
         without_chasms(&grid, &height, &mut is_ground, rules.bump);
+        without_feet(&grid, &mut height, &is_ground);
         spread(&grid, &mut height, &is_ground);
         smooth(&grid, &mut height, &is_ground);
         Some(Self { grid, height })
@@ -75,6 +77,17 @@ impl Ground {
         let high = self.grid.low + DVec2::new(self.grid.columns as f64, self.grid.rows as f64) * self.grid.cell;
         let inside = plan.clamp(self.grid.low, high - DVec2::splat(0.5 * self.grid.cell));
         self.grid.index(inside).map_or(0.0, |cell| self.height[cell])
+    }
+}
+
+/// Cells of ground beside what rises hold feet of walls: they are as low as the lowest ground about them.
+fn without_feet(grid: &PlanGrid, height: &mut [f64], is_ground: &[bool]) {
+    let before = height.to_vec();
+    for cell in (0..grid.len()).filter(|cell| is_ground[*cell]) {
+        if grid.around(cell).any(|other| !is_ground[other]) {
+            let lowest = grid.around(cell).filter(|other| is_ground[*other]).map(|other| before[other]);
+            height[cell] = lowest.fold(before[cell], f64::min);
+        }
     }
 }
 
@@ -218,6 +231,41 @@ mod tests {
                 assert!((height - slope * x).abs() < 1.0, "slope {slope} at {x} {y}: {height}");
             }
         }
+    }
+
+    #[test]
+    fn a_low_roof_that_crumbles_towards_its_rim_is_no_ground() {
+        // As stereo draws low blocks: every ring of cells lies a little lower, none by more than a window of its width may.
+        let mut points = scene(0.0);
+        for at in &mut points {
+            let off = (at.x - 30.0).abs().max((at.y - 26.0).abs());
+            at.z = match off {
+                ..2.0 => 3.2,
+                ..4.0 => 2.4,
+                ..5.0 => 1.4,
+                ..6.0 => 0.7,
+                ..7.0 => 0.35,
+                _ => 0.0,
+            };
+        }
+        let rules = GroundRules { cell: 1.0, largest_building: 40.0, slope: 0.15, bump: 0.4 };
+        let ground = Ground::find(&points, &PlanFrame::new(DVec3::Z), &rules).expect("points");
+        for (x, y) in [(30.0, 26.0), (28.5, 26.0), (26.5, 26.0), (50.0, 26.0)] {
+            assert!(ground.at(DVec2::new(x, y)).abs() < 0.8, "{x} {y}: {}", ground.at(DVec2::new(x, y)));
+        }
+    }
+
+    #[test]
+    fn feet_of_walls_do_not_lift_the_ground_below_a_house() {
+        // The lowest that is seen in the ring about the house is the foot of its wall.
+        let mut points = scene(0.0);
+        for at in &mut points {
+            let off = ((at.x - 29.75).abs() - 10.0).max((at.y - 25.75).abs() - 6.0);
+            at.z += if (0.0..1.0).contains(&off) { 0.35 } else { 0.0 };
+        }
+        let rules = GroundRules { cell: 1.0, largest_building: 40.0, slope: 0.15, bump: 0.4 };
+        let ground = Ground::find(&points, &PlanFrame::new(DVec3::Z), &rules).expect("points");
+        assert!(ground.at(DVec2::new(30.0, 26.0)).abs() < 0.05, "{}", ground.at(DVec2::new(30.0, 26.0)));
     }
 
     #[test]
