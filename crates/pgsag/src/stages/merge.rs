@@ -156,9 +156,12 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         job.warn(words);
     }
     let cubes = job.run.finished_jobs("mesh")?;
+    // What follows the cubes takes as long as they do, each.
+    let (first, steps) = (cubes.len() as u64, cubes.len() as u64 + 3);
     let mut merger = Merger::default();
-    for name in &cubes {
+    for (done, name) in (1..).zip(&cubes) {
         merger.add(&job.read_job::<Surface>("mesh", name)?.0);
+        job.advance(done, steps, "steps");
     }
     let mut city = merger.finish();
     let area = Area::of(&config)?;
@@ -169,6 +172,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let options = &config.buildings;
     let crumb = lengths.square_units(options.min_piece_m2);
     let mut city = tidy(job, city, &config, &lengths);
+    job.advance(first + 1, steps, "steps");
     if city.faces.is_empty() {
         return Err(UserError::new(
             &config.scene,
@@ -190,6 +194,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     }
     let (rules, ground) = rules(options, &lengths, voxel, is_parted);
     tell_apart(&mut city, up, &rules, ground.as_ref(), crumb)?;
+    job.advance(first + 2, steps, "steps");
     let parts = split_by_building(&city);
     let mut list: Vec<Building> = parts.iter().map(|(n, mesh)| described(*n, mesh, up, &lengths)).collect();
     let samples: Vec<Vec<DVec3>> = parts.values().map(sample_centers).collect();
