@@ -32,6 +32,9 @@ pub struct TsdfOptions {
     /// Nodes farther behind the surface than this many voxels are not touched: more closes up parapets, fewer let the
     /// news of free space that leaks through holes paint a second sheet inside (decision 0010).
     pub behind_voxels: f32,
+    /// Weight, as a share of a measurement's own, of what it says as far behind the surface; it falls linearly from the
+    /// surface on (Bylow et al. 2013). Behind an eave's edge a roof seen from above hides open air: 1 rounds it outwards.
+    pub behind_weight: f32,
     /// Weight, as a share of a measurement's own, of the news that a node beyond the truncation is free; 0 = no carving.
     pub free_space_weight: f32,
     /// Nodes of no more weight than this are unknown: no surface is made beside them. 1 = one frontal pixel per voxel.
@@ -51,6 +54,7 @@ impl Default for TsdfOptions {
         Self {
             front_voxels: 4.0,
             behind_voxels: 3.0,
+            behind_weight: 0.5,
             free_space_weight: 0.25,
             min_weight: 0.01,
             min_cos: 0.174,
@@ -205,6 +209,10 @@ fn check_options(lattice: &Lattice, options: &TsdfOptions) -> Result<(), MeshErr
     positive("front_voxels", options.front_voxels.into())?;
     positive("behind_voxels", options.behind_voxels.into())?;
     positive("min_cos", options.min_cos)?;
+    if !(0.0..=1.0).contains(&options.behind_weight) {
+        let value = f64::from(options.behind_weight);
+        return Err(MeshError::Option { name: "behind_weight", value, allowed: "0 to 1" });
+    }
     if !(options.free_space_weight >= 0.0 && options.min_weight >= 0.0) {
         let value = f64::from(options.free_space_weight.min(options.min_weight));
         return Err(MeshError::Option { name: "free_space_weight, min_weight", value, allowed: "0 or more" });

@@ -11,6 +11,7 @@ use pgsag_group::VoteOptions;
 use pgsag_group::blocks::BlockOptions;
 use pgsag_group::geometry::GeometryOptions;
 use pgsag_group::refine::RefineOptions;
+use pgsag_mesh::TsdfOptions;
 use pgsag_mesh::fuse::{FilterOptions, SupportOptions};
 use pgsag_mesh::score::ScoreOptions;
 use pgsag_splat::train::{DepthOptions, InitialiseOptions, NeighborOptions, TrainOptions};
@@ -189,9 +190,10 @@ impl Config {
                 let initialise = InitialiseOptions { sh_degree: 3, ..standard.initialise };
                 // The paper trains every group for all steps, and on nothing but its buildings.
                 let groups = GroupingOptions { equal_looks: false, collar_px: 0.0, ..standard.groups };
-                // Nor does it add surface where there was none.
+                // Nor does it add surface where there was none, or weigh a measurement by where it is asked.
                 let buildings = BuildingOptions { max_hole_rim_m: 0.0, ..standard.buildings };
-                let surface = SurfaceOptions { max_gap_m: 0.0, ..standard.surface };
+                let tsdf = TsdfOptions { behind_weight: 1.0, ..standard.surface.tsdf };
+                let surface = SurfaceOptions { max_gap_m: 0.0, tsdf, ..standard.surface };
                 Self { train: TrainOptions::paper(), initialise, groups, surface, buildings, ..standard }
             }
         }

@@ -83,6 +83,17 @@ impl Projector<'_> {
         at.x >= -dx && at.y >= -dy && at.x <= f64::from(camera.width) + dx && at.y <= f64::from(camera.height) + dy
     }
 
+    /// What a measurement counts at so many voxels in front of its surface, as a share of its weight.
+    #[inline]
+    fn share(&self, distance: f32) -> f32 {
+        let options = &self.options;
+        if distance > options.front_voxels {
+            options.free_space_weight
+        } else {
+            1.0 + (1.0 - options.behind_weight) * (distance / options.behind_voxels).clamp(-1.0, 0.0)
+        }
+    }
+
     #[inline]
     fn average_node(&self, block: &mut Block, node: usize, at: Vec3) {
         if at.z <= 0.0 {
@@ -105,7 +116,7 @@ impl Projector<'_> {
             return;
         }
         let free = distance > self.options.front_voxels;
-        let weight = if free { plane.weight * self.options.free_space_weight } else { plane.weight };
+        let weight = plane.weight * self.share(distance);
         if weight <= 0.0 {
             return;
         }

@@ -156,6 +156,42 @@ fn nothing_is_known_deeper_than_asked_for() {
     }
 }
 
+/// What a camera sees of a roof (z = 1 where x < 0), its wall (x = 0) and the ground (z = 0).
+fn eave_from(x: f64) -> DepthView<'static> {
+    let mut view = view_of(DVec3::new(x, 0.0, 5.0), 240, None, |_, _| 0.0);
+    let back = view.camera_from_world.inverse();
+    for v in 0..240 {
+        for u in 0..240 {
+            let ray = back.rotation * view.camera.ray(f64::from(u) + 0.5, f64::from(v) + 0.5);
+            let (roof, wall) = (-4.0 / ray.z, -x / ray.x);
+            let depth = match x + ray.x * roof < 0.0 {
+                true => roof,
+                false if x > 0.0 && wall > roof && wall < -5.0 / ray.z => wall,
+                false => -5.0 / ray.z,
+            };
+            view.depth.set(u, v, depth as f32);
+        }
+    }
+    view
+}
+
+#[test]
+fn what_is_said_from_behind_an_eave_rounds_it_less_the_less_it_weighs() {
+    let views = [-3.5, -2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 3.5].map(eave_from);
+    let farthest_out = |behind_weight: f32| {
+        let options = TsdfOptions { behind_weight, ..TsdfOptions::default() };
+        let region = CellBox { low: [-8, -8, -4], high: [12, 8, 14] };
+        let mut volume = Volume::new(lattice(), region, options).unwrap();
+        views.iter().for_each(|view| volume.reserve(view).unwrap());
+        views.iter().for_each(|view| volume.integrate(view).unwrap());
+        let mesh = extract(&volume);
+        mesh.vertices.iter().filter(|v| v[2] > 0.4).map(|v| v[0]).fold(f64::NEG_INFINITY, f64::max)
+    };
+    let [flat, half, none] = [1.0, 0.5, 0.0].map(farthest_out);
+    assert!(flat > half + 0.01 && half > none + 0.01, "{flat} {half} {none}");
+    assert!(none > -0.05, "the roof ends where it does: {none}");
+}
+
 #[test]
 fn wrong_sizes_are_refused() {
     let mut view = view_of(DVec3::new(0.0, 0.0, 5.0), 12, None, hills);
