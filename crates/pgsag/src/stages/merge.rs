@@ -273,43 +273,45 @@ fn looks_down(city: &Mesh, scene: &Scene, up: DVec3) -> bool {
     }
 }
 
-/// Labels without speckles of less than `crumb`, scene units squared, and buildings by number. What lies on the ground leaves
-/// them last: strips are speckles, and roofs are told apart by what they had about them.
+/// Labels without speckles of less than `crumb`, scene units squared, and buildings by number: as given in instance masks,
+/// else roof by roof. What lies on the ground leaves the buildings; then roofs are told apart once more, since strips of
+/// ground and crumbs had joined what they lay beside.
 fn tell_apart(city: &mut Mesh, up: DVec3, rules: &RoofRules, ground: Option<&Ground>, crumb: f64) -> Result<()> {
     city.groups = settle(city, &city.groups, crumb);
-    number_buildings(city, up, rules)?;
-    city.buildings = settle(city, &city.buildings, crumb);
+    if city.groups.len() != city.faces.len() {
+        bail!("faces without groups");
+    }
+    let is_given = city.buildings.iter().any(|number| *number != 0);
+    let is_building = |face: usize| city.groups[face] != 0;
+    let numbers = match is_given {
+        true => given_pieces(city, up, rules, &city.buildings, is_building)?,
+        false => by_size(city, &roof_pieces(city, up, rules, is_building)?, rules.min_area),
+    };
+    city.buildings = settle(city, &numbers, crumb);
     if let Some(ground) = ground {
         let is_ground = on_ground(city, up, ground, |face| city.buildings[face] != 0)?;
+        if !is_given {
+            let is_building = |face: usize| city.buildings[face] != 0 && !is_ground[face];
+            let numbers = by_size(city, &roof_pieces(city, up, rules, is_building)?, rules.min_area);
+            city.buildings = settle(city, &numbers, crumb);
+        }
+        // Strips of ground are speckles to whoever settles labels, and must not come back.
         city.buildings.iter_mut().zip(is_ground).filter(|(_, ground)| *ground).for_each(|(number, _)| *number = 0);
     }
     match_groups(city);
     Ok(())
 }
 
-/// Numbers the pieces of building surface: as given in instance masks, else from 1, the largest first; small ones become
-/// background.
-fn number_buildings(city: &mut Mesh, up: DVec3, rules: &RoofRules) -> Result<()> {
-    if city.groups.len() != city.faces.len() {
-        bail!("faces without groups");
-    }
-    let is_building = |face: usize| city.groups[face] != 0;
-    if city.buildings.iter().any(|number| *number != 0) {
-        city.buildings = given_pieces(city, up, rules, &city.buildings, is_building)?;
-        match_groups(city);
-        return Ok(());
-    }
-    let pieces = roof_pieces(city, up, rules, is_building)?;
+/// Pieces numbered from 1, the largest surface first; those of less than `min_area` are 0.
+fn by_size(city: &Mesh, pieces: &[u32], min_area: f64) -> Vec<u32> {
     let mut areas: BTreeMap<u32, f64> = BTreeMap::new();
     for (face, piece) in pieces.iter().enumerate().filter(|(_, piece)| **piece != 0) {
         *areas.entry(*piece).or_default() += face_area(city, face);
     }
-    let mut order: Vec<(u32, f64)> = areas.into_iter().filter(|(_, area)| *area >= rules.min_area).collect();
+    let mut order: Vec<(u32, f64)> = areas.into_iter().filter(|(_, area)| *area >= min_area).collect();
     order.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
     let number: BTreeMap<u32, u32> = order.iter().zip(1..).map(|((piece, _), number)| (*piece, number)).collect();
-    city.buildings = pieces.iter().map(|piece| number.get(piece).copied().unwrap_or(0)).collect();
-    match_groups(city);
-    Ok(())
+    pieces.iter().map(|piece| number.get(piece).copied().unwrap_or(0)).collect()
 }
 
 /// What is no building belongs to no group of buildings either; what is one but was of no group goes to the group of most
@@ -419,11 +421,36 @@ mod tests {
         let mut city = squares(&[(0.0, 1), (10.0, 1), (11.0, 1), (20.0, 0)]);
         let rules =
             |min_area: f64| RoofRules { cell: 0.5, step: f64::INFINITY, flat: 0.0, hue_step: f64::INFINITY, min_area };
-        number_buildings(&mut city, DVec3::Z, &rules(0.5)).expect("numbered");
+        tell_apart(&mut city, DVec3::Z, &rules(0.5), None, 0.0).expect("numbered");
         assert_eq!(city.buildings, [2, 2, 1, 1, 1, 1, 0, 0]);
-        number_buildings(&mut city, DVec3::Z, &rules(1.5)).expect("numbered");
+        tell_apart(&mut city, DVec3::Z, &rules(1.5), None, 0.0).expect("numbered");
         assert_eq!(city.buildings, [0, 0, 1, 1, 1, 1, 0, 0]);
         assert_eq!(city.groups, [0, 0, 1, 1, 1, 1, 0, 0]);
+    }
+
+    #[test]
+    fn ground_between_two_houses_does_not_join_them() {
+        // Along x: a house, ground that the masks took for a building, a house; beside them ground that they did not take.
+        let mut city = Mesh::default();
+        for (x, y) in (0..24).flat_map(|x| (0..8).map(move |y| (x, y))) {
+            let is_roof = y >= 4 && !(9..15).contains(&x);
+            let mut square = squares(&[(f64::from(x), u32::from(y >= 4))]);
+            square.vertices.iter_mut().for_each(|v| *v = [v[0], v[1] + f64::from(y), if is_roof { 3.0 } else { 0.1 }]);
+            let first = city.vertices.len() as u32;
+            city.vertices.extend(square.vertices);
+            city.faces.extend(square.faces.iter().map(|face| face.map(|corner| corner + first)));
+            city.groups.extend(square.groups);
+        }
+        let rules = RoofRules { cell: 1.0, step: f64::INFINITY, flat: 0.0, hue_step: f64::INFINITY, min_area: 4.0 };
+        let ground = Ground { cell: 0.5, height: 0.5, block: 4.0 };
+        let numbers = |ground: Option<&Ground>| -> Vec<u32> {
+            let mut city = city.clone();
+            tell_apart(&mut city, DVec3::Z, &rules, ground, 0.0).expect("told apart");
+            [3, 12, 21].map(|x| city.buildings[2 * (8 * x + 6)]).into()
+        };
+        assert_eq!(numbers(None), [1, 1, 1]);
+        let [west, middle, east] = numbers(Some(&ground))[..] else { panic!("three") };
+        assert!(middle == 0 && west != east && west * east == 2, "{west} {middle} {east}");
     }
 
     #[test]
@@ -444,7 +471,7 @@ mod tests {
         let mut city = squares(&[(0.0, 1), (1.0, 1), (2.0, 1), (10.0, 2), (20.0, 0)]);
         city.buildings = vec![7, 0, 7, 4, 4, 4, 0, 0, 9, 9];
         let rules = RoofRules { cell: 0.5, step: f64::INFINITY, flat: 0.0, hue_step: f64::INFINITY, min_area: 0.4 };
-        number_buildings(&mut city, DVec3::Z, &rules).expect("numbered");
+        tell_apart(&mut city, DVec3::Z, &rules, None, 0.0).expect("numbered");
         assert_eq!(city.buildings, [7, 7, 7, 4, 4, 4, 8, 8, 0, 0]);
         assert_eq!(city.groups, [1, 1, 1, 1, 1, 1, 2, 2, 0, 0]);
     }
