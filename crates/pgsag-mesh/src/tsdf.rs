@@ -32,8 +32,8 @@ pub struct TsdfOptions {
     /// Nodes farther behind the surface than this many voxels are not touched: more closes up parapets, fewer let the
     /// news of free space that leaks through holes paint a second sheet inside (decision 0010).
     pub behind_voxels: f32,
-    /// Weight, as a share of a measurement's own, of what it says as far behind the surface; it falls linearly from the
-    /// surface on (Bylow et al. 2013). Behind an eave's edge a roof seen from above hides open air: 1 rounds it outwards.
+    /// Weight, as a share of a measurement's own, of what it says `behind_voxels` behind the surface; it falls linearly from
+    /// the surface on (Bylow et al. 2013). Below an eave a roof seen from behind hides open air: 1 rounds it outwards.
     pub behind_weight: f32,
     /// Weight, as a share of a measurement's own, of the news that a node beyond the truncation is free; 0 = no carving.
     pub free_space_weight: f32,
