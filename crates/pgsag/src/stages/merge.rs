@@ -147,6 +147,9 @@ pub(crate) fn jobs(run: &Run) -> Result<Vec<JobPlan>> {
     Ok(JobPlan::whole(&["import", "group", "mesh"], cost))
 }
 
+/// Parts of the work as they take time in a city of 6.8 million faces: reading 1, tidying 2, telling apart 4, the rest 6.
+const PARTS: u64 = 13;
+
 pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let config = config(job.run)?;
     let imported: Imported = job.read("import")?;
@@ -156,13 +159,11 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
         job.warn(words);
     }
     let cubes = job.run.finished_jobs("mesh")?;
-    // What follows the cubes takes as long as they do, each.
-    let (first, steps) = (cubes.len() as u64, cubes.len() as u64 + 3);
     let mut merger = Merger::default();
-    for (done, name) in (1..).zip(&cubes) {
+    for name in &cubes {
         merger.add(&job.read_job::<Surface>("mesh", name)?.0);
-        job.advance(done, steps, "steps");
     }
+    job.advance(1, PARTS, "parts");
     let mut city = merger.finish();
     let area = Area::of(&config)?;
     if !area.is_everything() {
@@ -172,7 +173,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     let options = &config.buildings;
     let crumb = lengths.square_units(options.min_piece_m2);
     let mut city = tidy(job, city, &config, &lengths);
-    job.advance(first + 1, steps, "steps");
+    job.advance(3, PARTS, "parts");
     if city.faces.is_empty() {
         return Err(UserError::new(
             &config.scene,
@@ -194,7 +195,7 @@ pub(crate) fn run(job: &Job<'_>) -> Result<()> {
     }
     let (rules, ground) = rules(options, &lengths, voxel, is_parted);
     tell_apart(&mut city, up, &rules, ground.as_ref(), crumb)?;
-    job.advance(first + 2, steps, "steps");
+    job.advance(7, PARTS, "parts");
     let parts = split_by_building(&city);
     let mut list: Vec<Building> = parts.iter().map(|(n, mesh)| described(*n, mesh, up, &lengths)).collect();
     let samples: Vec<Vec<DVec3>> = parts.values().map(sample_centers).collect();
