@@ -202,22 +202,33 @@ impl Estimate {
 }
 
 fn check_options(lattice: &Lattice, options: &TsdfOptions) -> Result<(), MeshError> {
-    let positive = |name, value: f64| {
-        if value > 0.0 { Ok(()) } else { Err(MeshError::Option { name, value, allowed: "greater than 0" }) }
-    };
     positive("voxel", lattice.voxel)?;
-    positive("front_voxels", options.front_voxels.into())?;
-    positive("behind_voxels", options.behind_voxels.into())?;
-    positive("min_cos", options.min_cos)?;
-    if !(0.0..=1.0).contains(&options.behind_weight) {
-        let value = f64::from(options.behind_weight);
-        return Err(MeshError::Option { name: "behind_weight", value, allowed: "0 to 1" });
+    options.check()
+}
+
+fn positive(name: &'static str, value: f64) -> Result<(), MeshError> {
+    if value > 0.0 { Ok(()) } else { Err(MeshError::Option { name, value, allowed: "greater than 0" }) }
+}
+
+impl TsdfOptions {
+    /// Whether a volume can be made with these.
+    ///
+    /// # Errors
+    /// The first that is out of range.
+    pub fn check(&self) -> Result<(), MeshError> {
+        positive("front_voxels", self.front_voxels.into())?;
+        positive("behind_voxels", self.behind_voxels.into())?;
+        positive("min_cos", self.min_cos)?;
+        if !(0.0..=1.0).contains(&self.behind_weight) {
+            let value = f64::from(self.behind_weight);
+            return Err(MeshError::Option { name: "behind_weight", value, allowed: "0 to 1" });
+        }
+        if !(self.free_space_weight >= 0.0 && self.min_weight >= 0.0) {
+            let value = f64::from(self.free_space_weight.min(self.min_weight));
+            return Err(MeshError::Option { name: "free_space_weight, min_weight", value, allowed: "0 or more" });
+        }
+        Ok(())
     }
-    if !(options.free_space_weight >= 0.0 && options.min_weight >= 0.0) {
-        let value = f64::from(options.free_space_weight.min(options.min_weight));
-        return Err(MeshError::Option { name: "free_space_weight, min_weight", value, allowed: "0 or more" });
-    }
-    Ok(())
 }
 
 #[cfg(test)]

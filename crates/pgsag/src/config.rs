@@ -324,7 +324,7 @@ impl Typed {
             for (key, value) in layer.iter() {
                 let before = merged.get(key).cloned();
                 merged.set(key, value.clone());
-                if let Err(error) = Config::from_settings(&merged) {
+                if let Err(error) = Config::from_settings(&merged).and_then(|config| Ok(config.surface.tsdf.check()?)) {
                     let cause = first_line(&error.root_cause().to_string());
                     let cure = before.map_or_else(String::new, |value| format!("it was {value}; "));
                     return Err(UserError::new(

@@ -51,6 +51,7 @@ fn mistakes_are_one_line_with_a_place() {
     assert!(line(typed("seed = 3\nseed = ", &[], &[])).starts_with("city.toml: line 2: "));
     assert!(line(typed("", &["seed=often"], &[])).starts_with("--set: seed: invalid type"));
     assert!(line(typed("", &["preset=best"], &[])).contains("use fast, standard or paper"));
+    assert!(line(typed("", &["surface.tsdf.behind_weight=2"], &[])).contains("0 to 1"));
     assert!(line(typed("", &["seed"], &[])).contains("write --set key=value"));
 }
 
